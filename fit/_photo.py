@@ -1,0 +1,308 @@
+"""Reference photos: from a file to linear light, and which of its pixels count.
+
+`load_photo` reads JPEG, PNG, TIFF and EXR by what they contain, not by their names. What follows
+(residuals, diagnosis) sees linear light, a mask and the size of a code step, never a file format.
+"""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from PIL import ExifTags, Image, ImageFile, UnidentifiedImageError
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.PngImagePlugin import PngImageFile
+
+from model_jax._errors import InputError
+from model_jax._tone import Linear, Srgb, ToneCurve, parse_tone_curve
+
+PathLike = str | os.PathLike[str]
+
+MAX_PIXELS = 2**28
+"""Largest photo read, 268 megapixels: a small damaged or hostile file can claim any size."""
+
+_JPEG = b"\xff\xd8\xff"
+_PNG = b"\x89PNG\r\n\x1a\n"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_EXR = b"\x76\x2f\x31\x01"
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A photo in linear light.
+
+    `linear` is float32 in [0, 1] for integer photos and as stored otherwise: float32's relative
+    rounding of 2^-24 is 1/256 of half a step of a 16-bit code. A saturated sample whose linear
+    light would be infinite holds the light half a code below it. `quantisation` is half a code
+    step in linear light for every sample, None for float photos; it covers rounding to codes only,
+    not JPEG's losses. `bits` is the depth of the stored code, 32 for float.
+
+    `excluded` counts the pixels outside `valid` by reason, each once, under the first that
+    applies: "masked", "not finite", "saturated".
+    """
+
+    path: Path
+    linear: Float[np.ndarray, "h w 3"]
+    valid: Bool[np.ndarray, "h w"]
+    excluded: dict[str, int]
+    quantisation: Float[np.ndarray, "h w 3"] | None
+    tone_curve: ToneCurve
+    bits: int
+
+
+def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None = None) -> Photo:
+    """Read a photo: JPEG, PNG or TIFF of 8 or 16 bits, float TIFF, EXR.
+
+    `tone_curve` is a `ToneCurve` or what `parse_tone_curve` accepts; None means linear for EXR and
+    float TIFF, sRGB for integer photos (embedded colour profiles are not applied). `mask` names a
+    picture of the photo's size: white keeps a pixel, black leaves it out (any channel ≠ 0 keeps).
+
+    Grey becomes three equal channels, alpha is dropped (also a mask's), palettes are looked up,
+    EXIF orientation is applied to photo and mask. A pixel is saturated when any channel of an
+    integer photo is at its highest code. Photos that are black, white or NaN all over are no
+    errors here: what can be learned from them is the fit's verdict.
+
+    Raises `InputError` for files that are missing, damaged, cut off, of another format, of more
+    than `MAX_PIXELS` pixels, for CMYK, for an EXR without R, G, B, and for a mask of another size.
+    """
+    file = Path(path)
+    stored, bits = _read(file)
+    if tone_curve is None:
+        curve: ToneCurve = Linear() if bits is None else Srgb()
+    else:
+        curve = parse_tone_curve(tone_curve)
+    stored = _three_channels(file, stored)
+    if bits is None:
+        linear, quantisation = _decode_float(stored, curve), None
+        saturated = np.zeros(stored.shape[:2], dtype=bool)
+    else:
+        light, half_step = _code_tables(curve, bits)
+        linear, quantisation = light[stored], half_step[stored]
+        saturated = (stored == 2**bits - 1).any(axis=-1)
+    kept = np.ones(stored.shape[:2], dtype=bool) if mask is None else _read_mask(mask, file, stored)
+    finite = np.isfinite(linear).all(axis=-1)
+    return Photo(
+        path=file,
+        linear=linear,
+        valid=kept & finite & ~saturated,
+        excluded={
+            "masked": int((~kept).sum()),
+            "not finite": int((kept & ~finite).sum()),
+            "saturated": int((kept & finite & saturated).sum()),
+        },
+        quantisation=quantisation,
+        tone_curve=curve,
+        bits=32 if bits is None else bits,
+    )
+
+
+def _code_tables(
+    curve: ToneCurve, bits: int
+) -> tuple[Float[np.ndarray, " codes"], Float[np.ndarray, " codes"]]:
+    """Linear light and half a code step in it for each code, decoded in float64, kept as float32.
+
+    Half a step is half the difference of the light half a code above and below; at the first and
+    the last code, where nothing is stored beyond, the step on the one side there is.
+    """
+    top = 2**bits - 1
+    codes = np.arange(top + 1, dtype=np.float64)
+    light = np.asarray(curve.decode(codes / top), dtype=np.float64)
+    edges = np.asarray(curve.decode((codes[:-1] + 0.5) / top), dtype=np.float64)
+    if not np.isfinite(light[-1]):
+        light[-1] = edges[-1]
+    half_step = np.empty_like(light)
+    half_step[1:-1] = np.diff(edges) / 2
+    half_step[0] = edges[0] - light[0]
+    half_step[-1] = max(light[-1] - edges[-1], half_step[-2])
+    return light.astype(np.float32), half_step.astype(np.float32)
+
+
+def _decode_float(stored: np.ndarray, curve: ToneCurve) -> np.ndarray:
+    """Linear light of float samples, channel by channel in float64; NaN and Inf pass quietly."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        if isinstance(curve, Linear):
+            return stored.astype(np.float32)
+        linear = np.empty(stored.shape, dtype=np.float32)
+        for k in range(stored.shape[-1]):
+            channel = stored[..., k].astype(np.float64)
+            decoded = np.asarray(curve.decode(channel))
+            # A curve clips by comparing, which lets NaN through as a number: put it back.
+            linear[..., k] = np.where(np.isfinite(channel), decoded, channel)
+    return linear
+
+
+def _read_mask(path: PathLike, photo: Path, stored: np.ndarray) -> np.ndarray:
+    """True where the mask keeps the pixel."""
+    file = Path(path)
+    values, _ = _read(file, any_channels=True)
+    if values.shape[:2] != stored.shape[:2]:
+        (height, width), (photo_height, photo_width) = values.shape[:2], stored.shape[:2]
+        raise InputError(
+            f"{file}: the mask is {width}×{height}, {photo} is {photo_width}×{photo_height}; "
+            "give a mask of the photo's size"
+        )
+    with np.errstate(invalid="ignore"):
+        return (np.abs(values) > 0).any(axis=-1)  # NaN does not keep
+
+
+def _three_channels(path: Path, stored: np.ndarray) -> np.ndarray:
+    """[h, w, 3] from grey or RGB."""
+    if stored.shape[-1] == 3:
+        return stored
+    return np.broadcast_to(stored, (*stored.shape[:2], 3))
+
+
+def _read(path: Path, any_channels: bool = False) -> tuple[np.ndarray, int | None]:
+    """Stored samples [h, w, 1 or 3] (of an EXR mask any number) and bits; None for float."""
+    try:
+        with open(path, "rb") as stream:
+            start = stream.read(8)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{path}: cannot be opened ({reason}); check the path") from error
+    if start.startswith(_EXR):
+        return _read_exr(path, any_channels), None
+    reader: Callable[[Path], tuple[np.ndarray, int | None]]
+    if start.startswith((_JPEG, _PNG)):
+        reader = _read_with_pillow
+    elif start.startswith(_TIFF):
+        reader = _read_tiff
+    else:
+        raise InputError(f"{path}: {_name_format(path, start)}; save it as PNG, TIFF, JPEG or EXR")
+    try:
+        return reader(path)
+    except InputError:
+        raise
+    except Exception as error:  # what decoders raise on damaged files is not documented
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise InputError(
+            f"{path}: damaged or cut off ({reason}); copy or export it again"
+        ) from error
+
+
+def _name_format(path: Path, start: bytes) -> str:
+    """What a file that is not read is, as far as Pillow can tell."""
+    if not start:
+        return "is empty (0 bytes)"
+    if start[4:] == b"ftyp":
+        return "is a HEIF or AVIF picture, which is not read"
+    for extension in ("WEBP", "BMP", "GIF", "PPM", "JPEG2000", "ICO", "PSD"):
+        try:
+            with Image.open(path, formats=[extension]) as image:
+                return f"is a {image.format} picture, which is not read"
+        except (UnidentifiedImageError, KeyError):
+            continue
+        except Exception:  # damaged, or claims a huge size: its kind is known all the same
+            return f"is a {extension} picture, which is not read"
+    return f"is no picture (starts with {start!r})"
+
+
+def _read_with_pillow(path: Path) -> tuple[np.ndarray, int]:
+    """JPEG and PNG. The classes are named because `Image.open` limits all photos of the process to
+    a number of pixels that real ones exceed; ours is `MAX_PIXELS`."""
+    if ImageFile.LOAD_TRUNCATED_IMAGES:
+        raise InputError(
+            f"{path}: PIL.ImageFile.LOAD_TRUNCATED_IMAGES is on, which hides cut-off photos; "
+            "switch it off"
+        )
+    with open(path, "rb") as stream:
+        is_png = stream.read(len(_PNG)) == _PNG
+        stream.seek(24)
+        depth = stream.read(1)  # of a PNG: in its first chunk, at a fixed place
+    image: Image.Image
+    with PngImageFile(path) if is_png else JpegImageFile(path) as image:
+        _check_size(path, *image.size)
+        orientation = image.getexif().get(ExifTags.Base.Orientation, 1)
+        if image.mode in ("CMYK", "YCCK"):
+            raise InputError(f"{path}: is {image.mode}; convert it to RGB")
+        if is_png and depth == b"\x10":
+            import imagecodecs  # Pillow keeps 8 of the 16 bits of colour PNGs
+
+            codes, bits = imagecodecs.png_decode(path.read_bytes()), 16
+        else:
+            grey = image.mode in ("1", "L", "LA")
+            codes, bits = np.asarray(image.convert("L" if grey else "RGB")), 8
+    return _orient(_colour_first(codes), orientation), bits
+
+
+def _read_tiff(path: Path) -> tuple[np.ndarray, int | None]:
+    """The first page of a TIFF."""
+    import tifffile  # a quarter of a second to import, and only here
+
+    with tifffile.TiffFile(path) as tiff:
+        page: Any = tiff.pages[0]
+        _check_size(path, page.imagewidth, page.imagelength)
+        if page.is_reduced:
+            raise InputError(f"{path}: holds a thumbnail first, as raw files do; export it as TIFF")
+        photometric = tifffile.PHOTOMETRIC(page.photometric).name
+        jpeg_colour = photometric == "YCBCR" and page.compression == tifffile.COMPRESSION.JPEG
+        if photometric not in ("RGB", "MINISBLACK", "MINISWHITE") and not jpeg_colour:
+            raise InputError(f"{path}: is a {photometric} TIFF; convert it to RGB")
+        is_float = page.dtype is not None and page.dtype.kind == "f"
+        bits = None if is_float else int(page.bitspersample)
+        if page.dtype is None or page.dtype.kind not in "uf" or (bits or 0) > 16:
+            raise InputError(
+                f"{path}: its samples are {page.dtype or 'of a mixed kind'}; "
+                "save it with 8 or 16 bits or as float"
+            )
+        # A segment past the end, or of no bytes, would be filled in with zeros.
+        size = path.stat().st_size
+        segments = zip(page.dataoffsets, page.databytecounts, strict=True)
+        if any(count == 0 or offset + count > size for offset, count in segments):
+            raise InputError(f"{path}: cut off after {size} bytes; copy or export it again")
+        pixels = page.asarray()
+        axes = page.axes
+        orientation = page.tags.valueof(274, default=1)
+    if sorted(axes) == ["S", "X", "Y"]:
+        pixels = np.moveaxis(pixels, axes.index("S"), -1)
+    elif axes != "YX":
+        raise InputError(f"{path}: its first page has axes {axes}; save one flat picture")
+    if photometric == "MINISWHITE":
+        pixels = (1 if bits is None else 2**bits - 1) - pixels
+    return _orient(_colour_first(pixels), orientation), bits
+
+
+def _read_exr(path: Path, any_channels: bool) -> np.ndarray:
+    """R, G, B of an EXR; for a mask all channels there are."""
+    # Only here: the core of `fit` works without `render_gl` and OpenGL.
+    from render_gl._exr import read_channels
+
+    channels, _ = read_channels(path)
+    names = list(channels) if any_channels else ["R", "G", "B"]
+    if not set(names) <= set(channels):
+        raise InputError(f"{path}: has the channels {sorted(channels)}; a photo needs R, G and B")
+    _check_size(path, *channels[names[0]].shape[::-1])
+    return np.stack([channels[name] for name in names], axis=-1)
+
+
+def _colour_first(pixels: np.ndarray) -> np.ndarray:
+    """[h, w, 1 or 3]: without alpha and whatever else follows the colour."""
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    return pixels[..., : 3 if pixels.shape[-1] >= 3 else 1]
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if width < 1 or height < 1:
+        raise InputError(f"{path}: has {width}×{height} pixels; export it again")
+    if width * height > MAX_PIXELS:
+        raise InputError(
+            f"{path}: {width}×{height} pixels are more than the {MAX_PIXELS} that are read; "
+            "scale it down or crop it"
+        )
+
+
+def _orient(pixels: np.ndarray, orientation: object) -> np.ndarray:
+    """The picture as its EXIF orientation (1 to 8) says to show it; other values change nothing.
+
+    EXIF 2.32, tag 0x0112: where row 0 and column 0 of the stored picture belong.
+    """
+    if orientation in (5, 6, 7, 8):
+        pixels = pixels.swapaxes(0, 1)
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    return pixels

@@ -1,0 +1,82 @@
+"""Layers from exact intersection: no meshes, no depth buffer, differentiable in the scene.
+
+The oracle of the rasteriser (for a sphere without relief) and the layer source where there is no
+OpenGL. Host part in float64 (`_view`), per-pixel part in float32 or float64 JAX (`_intersect`).
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+
+from ._errors import InputError
+from ._intersect import ray_cone, ray_sphere
+from ._layers import Layers
+from ._scene import Scene
+from ._shapes import AnyArray
+from ._view import View, eye_center, pixel_rays, view_of
+
+
+def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
+    """Layers of a scene whose planet is a smooth sphere; relief and albedo are not drawn.
+
+    Pure, and usable under `jit`, `vmap` and `grad` with respect to every number of the scene. Called
+    with plain numbers it prepares the view in float64 whatever the dtype; inside a trace the
+    preparation has the precision of the traced numbers, so far-away cameras want x64 there.
+
+    Args:
+        scene: what is looked at; lengths in any one unit.
+        dtype: float32 or float64 of the layers; float64 needs `jax_enable_x64`.
+
+    Returns:
+        Eye depths relative to the planet's centre, [h, w] each, clamped to [near, far]; shadow
+        layers only when the scene has a sun. Rays follow DESIGN "ray–sphere, ray–cone".
+
+    Raises:
+        InputError: float64 asked for while JAX has it switched off; occluders.
+    """
+    if jnp.dtype(dtype) == jnp.float64 and not jax.config.jax_enable_x64:
+        raise InputError(
+            "analytic_layers: dtype float64 while JAX has 64-bit numbers switched off; "
+            'call jax.config.update("jax_enable_x64", True) first'
+        )
+    camera, radius = scene.camera, scene.planet.radius
+    depths = _trace(view_of(scene).astype(dtype), camera.height, camera.width)
+    scale = jnp.asarray(radius, dtype)
+    front, back, planet, *shadow = depths
+    return Layers(
+        front=front * scale,
+        back=back * scale,
+        shadow_front=shadow[0] * scale if shadow else None,
+        shadow_back=shadow[1] * scale if shadow else None,
+        planet=planet,
+        color=scene.atmosphere.color,
+        reference=eye_center(scene)[2],
+        width_unit=camera.far - camera.near,
+    )
+
+
+@partial(jax.jit, static_argnums=(1, 2))
+def _trace(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
+    """Front, back, planet mask and, with a sun, shadow front and back, in planet radii."""
+    (x, y), (mx, my) = pixel_rays(view, height, width)
+
+    def clamp(depth: AnyArray) -> AnyArray:
+        return jnp.clip(depth, view.near, view.far)
+
+    in_shell, (front, back) = ray_sphere(x, y, mx, my, view.shell)
+    cut, (ground, behind) = ray_sphere(x, y, mx, my, jnp.ones_like(view.shell))
+    # The planet ends the ray where it is met at or beyond the near plane.
+    hit = cut & (behind > view.near) & (ground < view.far)
+    front, back = clamp(front), clamp(jnp.where(hit, ground, back))
+    air = in_shell & (back > front)
+    empty = jnp.broadcast_to(view.far, air.shape)
+    front, back = jnp.where(air, front, empty), jnp.where(air, back, empty)
+    planet = hit.astype(front.dtype)
+    if not view.cones:
+        return front, back, planet
+    enter, leave = ray_cone(x, y, mx, my, view.cones[0])
+    enter, leave = clamp(enter), clamp(leave)
+    dark = leave > enter
+    return front, back, planet, jnp.where(dark, enter, empty), jnp.where(dark, leave, empty)

@@ -1,0 +1,77 @@
+"""The combine step of the paper, in JAX: layers → widths → colour → picture.
+
+`layer_widths` and `combine` are the contract: the same five lines as `combine.glsl`, in the same
+order, so that they differ from the shader by rounding only. `composite` adds what the paper leaves
+to the frame buffer: the surface behind the air and the background.
+
+All are pure and dtype-generic (the layers' dtype decides), and every gradient is finite: the only
+kinks are min/max ties, where JAX takes half of each side.
+"""
+
+import jax.numpy as jnp
+
+from ._layers import Layers
+from ._look import Look
+from ._shapes import Rgba, Width
+
+
+def layer_widths(layers: Layers) -> tuple[Width, Width | None]:
+    """Lit and shadowed width of air along each pixel's ray, in units of `layers.width_unit`.
+
+    Returns:
+        `(lit, dark)`; `dark` is `None` when the layers have no shadow. Both are along the camera's
+        axis (eye depth), as in the paper. `lit + dark` is the width of the air; rounding can make
+        either negative by an ulp of the depths.
+
+    Twin: `layer_widths` in `combine.glsl`.
+    """
+    front, back = jnp.asarray(layers.front), jnp.asarray(layers.back)
+    unit = jnp.asarray(layers.width_unit, front.dtype)
+    if layers.shadow_front is None or layers.shadow_back is None:
+        return (back - front) / unit, None
+    shadow_back = jnp.minimum(jnp.maximum(layers.shadow_back, front), back)
+    shadow_front = jnp.minimum(jnp.maximum(layers.shadow_front, front), back)
+    lit = (back - shadow_back) + (shadow_front - front)
+    dark = shadow_back - shadow_front
+    return lit / unit, dark / unit
+
+
+def combine(layers: Layers, look: Look) -> Rgba:
+    """Colour of the air: `brightness · color · tint · (lit + shadow · dark)`, and its alpha.
+
+    Args:
+        layers: depth layers [h, w] and the air's colour.
+        look: brightness, shadow and tint; `background` is not part of the contract (`composite`).
+
+    Returns:
+        Linear light [h, w, 4]; alpha is the colour's where there is air and 0 elsewhere.
+
+    Twin: `combine` in `combine.glsl`.
+    """
+    lit, dark = layer_widths(layers)
+    dtype = lit.dtype
+    width = lit[..., None]
+    if dark is not None:
+        width = width + jnp.asarray(look.shadow, dtype) * dark[..., None]
+    color = jnp.asarray(layers.color, dtype)
+    tinted = color[:3] * jnp.asarray(look.tint, dtype)
+    rgb = jnp.asarray(look.brightness, dtype) * (tinted * width)
+    alpha = jnp.where(layers.has_air, color[3], 0)
+    return jnp.concatenate([rgb, alpha[..., None].astype(dtype)], axis=-1)
+
+
+def composite(layers: Layers, look: Look) -> Rgba:
+    """The picture: surface + air + background, and the coverage of both.
+
+    Returns:
+        Linear light [h, w, 4]. Without a surface layer the planet is black; alpha is 1 in front of
+        the planet where the layers know it, else the air's.
+    """
+    air = combine(layers, look)
+    rgb = air[..., :3] + jnp.asarray(look.background, air.dtype)
+    if layers.surface is not None:
+        rgb = rgb + jnp.asarray(layers.surface, air.dtype)
+    alpha = air[..., 3]
+    if layers.planet is not None:
+        alpha = jnp.maximum(alpha, jnp.asarray(layers.planet, air.dtype))
+    return jnp.concatenate([rgb, alpha[..., None]], axis=-1)

@@ -1,0 +1,111 @@
+"""Depth layers, and the one way from depth textures to them.
+
+    DepthTextures (window values, format) ── linearize ──> Layers (relative eye depth)
+
+`Layers` is what the combine reads, whoever made it: the rasteriser, the analytic intersection or
+somebody's own renderer. What a scene does not need is absent (`None`), never zero-filled.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from ._safe import is_host
+from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar
+
+
+class Layers(eqx.Module):
+    """Where each pixel's ray enters and leaves the air and the shadow, as eye depth.
+
+    Depths are relative to `reference`, because at a million kilometres plain float32 eye depth
+    resolves only a tenth of a kilometre. Widths are differences, so the reference cancels.
+    A pixel that no air covers has `front == back`.
+    """
+
+    front: Depth
+    """Where the ray enters the air (the near plane for a camera inside)."""
+    back: Depth
+    """Where it leaves the air or hits the planet."""
+    shadow_front: Depth | None = None
+    """Where it enters the shadow volume; not clamped to the air. `None`: nothing is in shadow."""
+    shadow_back: Depth | None = None
+    """Where it leaves the shadow volume; equal to `shadow_front` where the ray misses it."""
+    surface: Rgb | None = None
+    """Light of the planet's surface in front of which the air lies; 0 where there is none."""
+    planet: Float[AnyArray, "h w"] | None = None
+    """1 where the planet ends the ray, 0 where space does; `None` when nobody knows."""
+    color: Float[AnyArray, "4"] = eqx.field(default=(1.0, 1.0, 1.0, 1.0))
+    """Linear RGB and alpha of the air (the shell's vertex colour in the paper)."""
+    reference: Scalar = 0.0
+    """Eye depth that the depths are relative to; float64 on the host."""
+    width_unit: Scalar = 1.0
+    """Length that widths are divided by: far − near, as in the paper."""
+
+    @property
+    def has_shadow(self) -> bool:
+        return self.shadow_front is not None
+
+    @property
+    def has_air(self) -> Mask:
+        """True where the ray passes through any air."""
+        return self.front != self.back
+
+
+class DepthTextures(eqx.Module):
+    """What a depth-pass renderer leaves behind, before linearisation.
+
+    `linear` False: window depth in [0, 1]; True: eye depth relative to `reference`.
+    """
+
+    front: Float[AnyArray, "h w"]
+    back: Float[AnyArray, "h w"]
+    shadow_front: Float[AnyArray, "h w"] | None
+    shadow_back: Float[AnyArray, "h w"] | None
+    near: Scalar
+    far: Scalar
+    linear: bool = eqx.field(static=True)
+    reference: Scalar = 0.0
+
+    def linearize(self) -> Layers:
+        """`Layers` without surface, planet mask or colour (the renderer adds what it drew)."""
+
+        def depth(texture: AnyArray | None) -> AnyArray | None:
+            if texture is None or self.linear:
+                return texture
+            return linearize_depth(texture, self.near, self.far)
+
+        return Layers(
+            front=depth(self.front),
+            back=depth(self.back),
+            shadow_front=depth(self.shadow_front),
+            shadow_back=depth(self.shadow_back),
+            reference=self.reference if self.linear else 0.0,
+            width_unit=self.far - self.near,
+        )
+
+
+def depth_constants(near: Scalar, far: Scalar) -> tuple[Scalar, Scalar]:
+    """`a = far / (far - near)`, `b = far·near / (near - far)` of the paper's ZParam."""
+    return far / (far - near), far * near / (near - far)
+
+
+def linearize_depth(
+    window: Float[AnyArray, "*shape"], near: Scalar, far: Scalar
+) -> Float[AnyArray, "*shape"]:
+    """Eye depth of a window depth: `z = b / (window - a)` (the paper, "Depth Buffer Linearization").
+
+    Args:
+        window: depth-buffer values in [0, 1], any shape; near plane = 0, far plane = 1.
+        near, far: eye depths of the clip planes, 0 < near < far, any length unit.
+
+    Returns:
+        Eye depth (distance along the camera's axis) in the unit of `near`, in `window`'s dtype. The
+        two constants are computed in float64 on the host when `near` and `far` are plain numbers.
+
+    Twin: `linearize_depth` in `combine.glsl`.
+    """
+    window = jnp.asarray(window)
+    a, b = depth_constants(near, far)
+    if is_host(near, far):
+        a, b = jnp.asarray(a, window.dtype), jnp.asarray(b, window.dtype)
+    return b / (window - a)

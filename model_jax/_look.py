@@ -1,0 +1,78 @@
+"""How layers are coloured: the look's parameters, what each means and its limits.
+
+`Look` owns the defaults of the combine contract (3.0 and 0.2, from the paper's pixel shader); the
+shader gets them as uniforms and holds no copy. `PARAMETERS` says of each what a fit, a report and a
+command line need to know.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from ._errors import InputError
+from ._shapes import AnyArray, Scalar
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """What there is to know of a look parameter besides its value."""
+
+    meaning: str
+    unit: str
+    lower: float
+    upper: float
+    default: float
+
+
+PARAMETERS: dict[str, Parameter] = {
+    "brightness": Parameter(
+        "light per width unit of lit air, times colour", "1/width_unit", 0.0, np.inf, 3.0
+    ),
+    "shadow": Parameter("light of shadowed air as a share of lit air", "1", 0.0, np.inf, 0.2),
+    "tint": Parameter("factor on the air's colour, mean 1 over the channels", "1", 0.0, 3.0, 1.0),
+    "background": Parameter("light added to every pixel", "linear light", -np.inf, np.inf, 0.0),
+}
+"""Every parameter of `Look` by its field name, in the order reports show them."""
+
+
+def _leaf(value: object) -> Scalar | AnyArray:
+    if isinstance(value, jax.Array):
+        return value
+    try:
+        return np.asarray(value, dtype=np.float64)[()]
+    except (TypeError, ValueError):
+        raise InputError(f"look: {value!r} is not a number or a list of three numbers") from None
+
+
+class Look(eqx.Module):
+    """Parameters of the combine; a pytree, so that losses can be differentiated by it."""
+
+    brightness: Scalar = eqx.field(converter=_leaf, default=PARAMETERS["brightness"].default)
+    """Light per width unit of lit air, multiplying the scene's colour; ≥ 0."""
+    shadow: Scalar | Float[AnyArray, "3"] = eqx.field(
+        converter=_leaf, default=PARAMETERS["shadow"].default
+    )
+    """Light of shadowed air as a share of lit air, one number or one per channel; ≥ 0."""
+    tint: Float[AnyArray, "3"] = eqx.field(converter=_leaf, default=(1.0, 1.0, 1.0))
+    """Factor per channel on the scene's colour. A fit keeps its mean at 1, so that brightness and
+    tint are separate numbers; the combine takes it as it is."""
+    background: Scalar | Float[AnyArray, "3"] = eqx.field(
+        converter=_leaf, default=PARAMETERS["background"].default
+    )
+    """Light added to every pixel (sky glow, black level), one number or one per channel."""
+
+    def __check_init__(self) -> None:
+        shapes = {"brightness": [()], "tint": [(3,)]}
+        for name, info in PARAMETERS.items():
+            value = getattr(self, name)
+            if np.shape(value) not in shapes.get(name, [(), (3,)]):
+                raise InputError(f"look.{name}: {value!r} has the wrong number of entries")
+            if isinstance(value, jax.core.Tracer):
+                continue
+            if not np.all(np.isfinite(value)):
+                raise InputError(f"look.{name}: {value!r} must be finite")
+            if np.any(np.asarray(value) < info.lower):
+                raise InputError(f"look.{name}: {value!r} must be at least {info.lower:g}")

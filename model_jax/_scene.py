@@ -1,0 +1,257 @@
+"""What is looked at: camera, planet, atmosphere, sun and occluders.
+
+World: right-handed, planet at the origin, one length unit per scene (km by default), directions in
+float64 on the host. All records are pytrees whose numbers are leaves, so that layers can be
+differentiated with respect to them; texture names and image sizes are static. Construction checks
+the values and raises `InputError` naming the field, its value and the remedy; numbers that JAX is
+tracing cannot be checked and are taken as they are.
+
+Files are no business of this module: `relief` and `albedo` only name what a renderer loads.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from ._errors import InputError
+from ._shapes import AnyArray, Scalar, namespace
+
+Vector = Float[AnyArray, "3"]
+
+EARTH_SUN_ANGULAR_RADIUS_DEG = 0.2666
+"""Mean angular radius of the Sun from 1 au: 695,700 km / 149,597,871 km (IAU 2015 B3, 2012 B2)."""
+
+
+def _number(value: object) -> Scalar:
+    """Float64 on the host; JAX arrays and tracers stay what they are."""
+    return value if isinstance(value, jax.Array) else _host(value)[()]
+
+
+def _vector(value: object) -> AnyArray:
+    return value if isinstance(value, jax.Array) else _host(value)
+
+
+def _unit(value: object) -> AnyArray:
+    """The direction as a unit vector; a zero or broken one passes through for the check to name."""
+    vector = _vector(value)
+    xp = namespace(vector)
+    length = xp.sqrt(xp.sum(vector * vector)) if vector.shape == (3,) else None
+    if length is None or (not _traced(length) and not (np.isfinite(length) and length > 0)):
+        return vector
+    return vector / length
+
+
+def _rgba(value: object) -> AnyArray:
+    vector = _vector(value)
+    return namespace(vector).append(vector, 1.0) if vector.shape == (3,) else vector
+
+
+def _host(value: object) -> np.ndarray:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{value!r} is not a number or a list of numbers") from None
+
+
+def _traced(value: object) -> bool:
+    return isinstance(value, jax.core.Tracer)
+
+
+class Camera(eqx.Module):
+    """A pinhole camera with square pixels; the principal point is the image's centre."""
+
+    position: Vector = eqx.field(converter=_vector)
+    """Centre of projection, scene length units."""
+    forward: Vector = eqx.field(converter=_unit)
+    """Unit vector along the optical axis, into the picture."""
+    up: Vector = eqx.field(converter=_unit)
+    """Any direction that is up in the picture and not parallel to `forward`."""
+    fov_y_deg: Scalar = eqx.field(converter=_number)
+    """Full vertical field of view, degrees, in (0, 180)."""
+    width: int = eqx.field(static=True)
+    """Columns of the image."""
+    height: int = eqx.field(static=True)
+    """Rows of the image."""
+    near: Scalar = eqx.field(converter=_number)
+    """Eye depth of the near plane, > 0."""
+    far: Scalar = eqx.field(converter=_number)
+    """Eye depth of the far plane, > near."""
+
+    def __check_init__(self) -> None:
+        for name in ("position", "forward", "up"):
+            _require_vector(f"camera.{name}", getattr(self, name))
+        for name in ("forward", "up"):
+            _require_direction(f"camera.{name}", getattr(self, name))
+        for name in ("width", "height"):
+            size = getattr(self, name)
+            if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= 65536:
+                raise InputError(f"camera.{name}: {size!r} must be a whole number, 1 to 65536")
+        _require("camera.fov_y_deg", self.fov_y_deg, 0 < self.fov_y_deg < 180, "between 0 and 180")
+        _require("camera.near", self.near, self.near > 0, "above 0")
+        _require(
+            "camera.far", self.far, self.far > self.near, f"above camera.near ({self.near})"
+        )
+        if not _traced(self.forward) and not _traced(self.up):
+            sine = np.linalg.norm(np.cross(self.forward, self.up))
+            if sine < 1e-6:
+                raise InputError(
+                    f"camera.up: {_show(self.up)} is parallel to the viewing direction "
+                    f"{_show(self.forward)}; choose another up"
+                )
+
+    def basis(self) -> Float[AnyArray, "3 3"]:
+        """Rows right, up, forward: an orthonormal basis, `right = forward × up`."""
+        xp = namespace(self.forward, self.up)
+        right = xp.cross(self.forward, self.up)
+        right = right / xp.sqrt(xp.sum(right * right))
+        return xp.stack([right, xp.cross(right, self.forward), self.forward])
+
+    def pixel_size(self) -> Scalar:
+        """Side of a pixel on the plane at eye depth 1: `2 tan(fov_y / 2) / height`."""
+        xp = namespace(self.fov_y_deg)
+        return 2.0 * xp.tan(xp.deg2rad(self.fov_y_deg) / 2.0) / self.height
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same view on another pixel grid; the vertical field of view stays."""
+        return Camera(
+            self.position, self.forward, self.up, self.fov_y_deg, width, height, self.near, self.far
+        )
+
+
+class Planet(eqx.Module):
+    """A sphere at the origin, with optional relief and surface texture."""
+
+    radius: Scalar = eqx.field(converter=_number)
+    """Mean radius, > 0; also the radius of the shadow cone's base."""
+    relief: str | None = eqx.field(static=True, default=None)
+    """Height map, equirectangular (-180…180°, north up); its name is the renderer's business."""
+    relief_unit: Scalar = eqx.field(converter=_number, default=1.0)
+    """Height of one unit of the map (white = 1 in integer images), scene length units."""
+    relief_scale: tuple[float, float] = eqx.field(static=True, default=(1.0, 1.0))
+    """Exaggeration of the heights for a camera on the ground, and for one far away."""
+    relief_distance: tuple[float, float] = eqx.field(static=True, default=(0.01, 2.0))
+    """Camera heights, in planet radii, at which the first and the second scale are reached."""
+    albedo: str | None = eqx.field(static=True, default=None)
+    """Surface colour, equirectangular sRGB picture; none = black planet."""
+    triangles: int = eqx.field(static=True, default=196_000)
+    """At least this many triangles (the paper's number)."""
+
+    def __check_init__(self) -> None:
+        _require("planet.radius", self.radius, self.radius > 0, "above 0")
+        _require("planet.relief_unit", self.relief_unit, True, "finite")
+        for name, lowest in (("relief_scale", 0.0), ("relief_distance", 0.0)):
+            pair = getattr(self, name)
+            if len(pair) != 2 or not all(np.isfinite(n) and n >= lowest for n in pair):
+                raise InputError(f"planet.{name}: {pair!r} must be two finite numbers, at least 0")
+        if not self.relief_distance[0] < self.relief_distance[1]:
+            raise InputError(
+                f"planet.relief_distance: {self.relief_distance!r} must grow from near to far"
+            )
+        if not 20 <= self.triangles <= 20_000_000:
+            raise InputError(f"planet.triangles: {self.triangles!r} must be 20 to 20,000,000")
+
+
+class Atmosphere(eqx.Module):
+    """A spherical shell of air of uniform density above the planet's mean radius."""
+
+    height: Scalar = eqx.field(converter=_number)
+    """Thickness of the shell, > 0, scene length units."""
+    color: Float[AnyArray, "4"] = eqx.field(converter=_rgba, default=(1.0, 1.0, 1.0, 1.0))
+    """Linear RGB and alpha of the air; three numbers mean alpha 1."""
+
+    def __check_init__(self) -> None:
+        _require("atmosphere.height", self.height, self.height > 0, "above 0")
+        if self.color.shape != (4,):
+            raise InputError(
+                f"atmosphere.color: {_show(self.color)} must be 3 or 4 numbers (rgb or rgba)"
+            )
+        if not _traced(self.color) and not (
+            np.all(np.isfinite(self.color)) and np.all(np.asarray(self.color) >= 0)
+        ):
+            raise InputError(
+                f"atmosphere.color: {_show(self.color)} must be finite and at least 0"
+            )
+
+
+class Sun(eqx.Module):
+    """A disc of uniform brightness at infinity."""
+
+    direction: Vector = eqx.field(converter=_unit)
+    """Unit vector from the planet toward the sun."""
+    angular_radius_deg: Scalar = eqx.field(
+        converter=_number, default=EARTH_SUN_ANGULAR_RADIUS_DEG
+    )
+    """Half the disc's angle, degrees, in [0, 90); 0 makes the shadow a cylinder."""
+
+    def __check_init__(self) -> None:
+        _require_vector("sun.direction", self.direction)
+        _require_direction("sun.direction", self.direction)
+        radius = self.angular_radius_deg
+        _require("sun.angular_radius_deg", radius, 0 <= radius < 90, "at least 0 and below 90")
+
+
+class Occluder(eqx.Module):
+    """Another sphere that casts its shadow on the atmosphere: a moon, a second planet."""
+
+    center: Vector = eqx.field(converter=_vector)
+    """Centre, scene length units."""
+    radius: Scalar = eqx.field(converter=_number)
+    """Radius, > 0."""
+
+    def __check_init__(self) -> None:
+        _require_vector("occluder.center", self.center)
+        _require("occluder.radius", self.radius, self.radius > 0, "above 0")
+
+
+class Scene(eqx.Module):
+    """Everything that the layers depend on; how they are coloured is a `Look`."""
+
+    camera: Camera
+    planet: Planet
+    atmosphere: Atmosphere
+    sun: Sun | None = None
+    """None = no shadow volume: nothing is known of the sun."""
+    occluders: tuple[Occluder, ...] = ()
+
+    def __check_init__(self) -> None:
+        if self.occluders and self.sun is None:
+            raise InputError(
+                f"occluder: {len(self.occluders)} given without a sun, so they cast no shadow; "
+                "add [sun] or remove [[occluder]]"
+            )
+        if _traced(self.camera.position) or _traced(self.planet.radius):
+            return
+        distance = float(np.linalg.norm(self.camera.position))
+        if distance < self.planet.radius:
+            raise InputError(
+                f"camera.position: {_show(self.camera.position)} lies inside the planet "
+                f"({distance:g} from its centre, radius {float(self.planet.radius):g}); move it out"
+            )
+
+
+def _require(name: str, value: Scalar, ok: object, rule: str) -> None:
+    if _traced(value) or _traced(ok):
+        return
+    if np.shape(value) != ():
+        raise InputError(f"{name}: {_show(value)} must be one number")
+    if not (ok and np.isfinite(value)):
+        raise InputError(f"{name}: {float(value):g} must be finite and {rule}")
+
+
+def _require_vector(name: str, value: AnyArray) -> None:
+    if value.shape != (3,):
+        raise InputError(f"{name}: {_show(value)} must be three numbers [x, y, z]")
+    if not _traced(value) and not np.all(np.isfinite(value)):
+        raise InputError(f"{name}: {_show(value)} must be finite")
+
+
+def _require_direction(name: str, value: AnyArray) -> None:
+    if not _traced(value) and not np.any(np.asarray(value)):
+        raise InputError(f"{name}: {_show(value)} has no length; give a direction")
+
+
+def _show(value: AnyArray | Sequence[float]) -> str:
+    return str([float(f"{number:.6g}") for number in np.ravel(value)])

@@ -1,0 +1,113 @@
+"""Tone curves: linear light ↔ the value a picture file stores.
+
+A curve is a small record with `encode` (linear → stored, both nominally in [0, 1]) and `decode`
+(stored → linear), on NumPy or JAX arrays. `encode` has finite gradients everywhere, black
+included. `parse_tone_curve` reads the form scene files use.
+"""
+
+from abc import abstractmethod
+
+import equinox as eqx
+
+from ._errors import InputError
+from ._safe import safe_power
+from ._shapes import AnyArray, Scalar, namespace
+
+
+class ToneCurve(eqx.Module):
+    """What maps linear light to stored values and back."""
+
+    @abstractmethod
+    def encode(self, linear: AnyArray) -> AnyArray:
+        """Stored value for linear light."""
+
+    @abstractmethod
+    def decode(self, stored: AnyArray) -> AnyArray:
+        """Linear light for a stored value."""
+
+    @abstractmethod
+    def describe(self) -> str | dict[str, float]:
+        """The form that `parse_tone_curve` reads."""
+
+
+class Linear(ToneCurve):
+    """Stored values are linear light."""
+
+    def encode(self, linear: AnyArray) -> AnyArray:
+        return linear
+
+    def decode(self, stored: AnyArray) -> AnyArray:
+        return stored
+
+    def describe(self) -> str:
+        return "linear"
+
+
+class Srgb(ToneCurve):
+    """The sRGB transfer function of IEC 61966-2-1, odd-symmetric below black."""
+
+    def encode(self, linear: AnyArray) -> AnyArray:
+        xp = namespace(linear)
+        size = xp.abs(linear)
+        curved = 1.055 * safe_power(size, 1 / 2.4) - 0.055
+        return xp.where(size <= 0.0031308, 12.92 * linear, xp.sign(linear) * curved)
+
+    def decode(self, stored: AnyArray) -> AnyArray:
+        xp = namespace(stored)
+        size = xp.abs(stored)
+        curved = safe_power((size + 0.055) / 1.055, 2.4)
+        return xp.where(size <= 0.04045, stored / 12.92, xp.sign(stored) * curved)
+
+    def describe(self) -> str:
+        return "srgb"
+
+
+class Exposure(ToneCurve):
+    """`stored = (1 - exp(-exposure · linear)) ** (1 / gamma)`, both parameters > 0.
+
+    The film-like curve of two of the source documents. `decode` of 1 is infinite: nothing finite
+    is that bright, and the photo reader has excluded it as saturated.
+    """
+
+    exposure: Scalar
+    gamma: Scalar = 1.0
+
+    def encode(self, linear: AnyArray) -> AnyArray:
+        xp = namespace(linear, self.exposure)
+        return safe_power(-xp.expm1(-self.exposure * linear), 1 / self.gamma)
+
+    def decode(self, stored: AnyArray) -> AnyArray:
+        xp = namespace(stored, self.exposure)
+        covered = safe_power(stored, self.gamma)
+        below = covered < 1
+        finite = -xp.log1p(-xp.where(below, covered, 0)) / self.exposure
+        return xp.where(below, finite, xp.inf)
+
+    def describe(self) -> dict[str, float]:
+        return {"exposure": float(self.exposure), "gamma": float(self.gamma)}
+
+
+def parse_tone_curve(value: object) -> ToneCurve:
+    """A curve from "linear", "srgb" or a table `{exposure = 1.5, gamma = 2.2}`.
+
+    Raises `InputError` naming the value for anything else.
+    """
+    if isinstance(value, ToneCurve):
+        return value
+    if value == "linear":
+        return Linear()
+    if value == "srgb":
+        return Srgb()
+    if isinstance(value, dict) and set(value) <= {"exposure", "gamma"} and "exposure" in value:
+        numbers = {name: _positive(name, number) for name, number in value.items()}
+        return Exposure(**numbers)
+    raise InputError(
+        f"tone_curve: {value!r} is none of the known curves; "
+        'use "linear", "srgb" or { exposure = 1.0, gamma = 2.2 }'
+    )
+
+
+def _positive(name: str, number: object) -> float:
+    if isinstance(number, bool) or not isinstance(number, int | float) or not 0 < number < 1e30:
+        raise InputError(f"tone_curve.{name}: {number!r} must be a finite number above 0")
+    return float(number)

@@ -1,0 +1,126 @@
+"""The geometry of a view, prepared on the host in float64 so that float32 suffices afterwards.
+
+Lengths are in planet radii; vectors are in eye axes (right, up, forward). A pixel's ray is
+`m + τ·d` with `d = (x, y, 1)`: the parameter τ is eye depth relative to the planet's centre, and `m`
+is the ray's point in the image-parallel plane through that centre, so `m = (mx, my, 0)`. Both x and
+mx are affine in the pixel index; the constants of `mx` are taken at the integer pixel nearest to
+the planet's centre, where nothing cancels, so that a camera 232 radii away loses no more digits
+than a near one.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from ._safe import safe_divide
+from ._scene import Occluder, Scene
+from ._shapes import AnyArray, Scalar, namespace
+
+
+class ShadowCone(eqx.Module):
+    """Umbra of a sphere: `|p⊥| ≤ radius + k (p·s)` for `-radius/k ≤ p·s ≤ 0`, p from its centre."""
+
+    axes: Float[AnyArray, "3 3"]
+    """Rows e1, e2 ⟂ sun, and the unit direction s toward the sun, in eye axes."""
+    center: Float[AnyArray, "3"]
+    """Centre of the sphere relative to the planet's, in eye axes."""
+    radius: Scalar
+    """Radius of the sphere."""
+    tangent: Scalar
+    """k = tan of the sun's angular radius; 0 is the cylinder."""
+
+
+class View(eqx.Module):
+    """Per-scene numbers of the per-pixel kernels; all leaves in one dtype after `astype`."""
+
+    pixel: Scalar
+    """Side of a pixel on the plane at eye depth 1."""
+    slope: Scalar
+    """Change of mx per column (and of -my per row): eye depth of the centre × `pixel`."""
+    anchor: Float[AnyArray, "2"]
+    """Column and row index (whole numbers) at which `offset` is stated."""
+    offset: Float[AnyArray, "2"]
+    """mx and my at the anchor pixel's centre."""
+    near: Scalar
+    """Eye depth of the near plane relative to the planet's centre."""
+    far: Scalar
+    shell: Scalar
+    """Radius of the air's outer edge; the planet's is 1."""
+    cones: tuple[ShadowCone, ...]
+    """Shadow volumes: the planet's first."""
+
+    def astype(self, dtype: jnp.dtype) -> "View":
+        """All leaves as JAX arrays of one dtype."""
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+
+
+def eye_center(scene: Scene) -> Float[AnyArray, "3"]:
+    """The planet's centre in eye axes (right, up, eye depth), scene length units."""
+    return -scene.camera.basis() @ scene.camera.position
+
+
+def view_of(scene: Scene) -> View:
+    """The view of a scene: float64 for a scene of plain numbers, traced for a traced one."""
+    camera, radius = scene.camera, scene.planet.radius
+    center = eye_center(scene) / radius
+    xp = namespace(center, camera.near, camera.far, camera.fov_y_deg, scene.atmosphere.height)
+    depth, pixel = center[2], camera.pixel_size()
+    slope = depth * pixel
+    size = xp.asarray([camera.width, camera.height])
+    # Where the planet's centre projects to, kept near the picture; a centre beside or behind the
+    # camera anchors at the picture's centre, for then nothing is far away and cancels.
+    flip = xp.asarray([1.0, -1.0])
+    middle = (size - 1) / 2.0
+    projected = middle + flip * safe_divide(center[:2], xp.stack([slope, slope]), 0.0)
+    anchor = xp.round(xp.clip(projected, -4 * size, 5 * size))
+    offset = flip * slope * (anchor - middle) - center[:2]
+    return View(
+        pixel=pixel,
+        slope=slope,
+        anchor=anchor,
+        offset=offset,
+        near=camera.near / radius - depth,
+        far=camera.far / radius - depth,
+        shell=1.0 + scene.atmosphere.height / radius,
+        cones=_cones(scene),
+    )
+
+
+def pixel_rays(
+    view: View, height: int, width: int
+) -> tuple[tuple[AnyArray, AnyArray], tuple[AnyArray, AnyArray]]:
+    """`(x, y)` and `(mx, my)` at the pixel centres, each of shape [1, w] or [h, 1]."""
+    dtype = view.pixel.dtype
+    column = jnp.arange(width, dtype=dtype)[None, :]
+    row = jnp.arange(height, dtype=dtype)[:, None]
+    x = view.pixel * (column - (width - 1) / 2)
+    y = view.pixel * ((height - 1) / 2 - row)
+    mx = view.slope * (column - view.anchor[0]) + view.offset[0]
+    my = view.slope * (view.anchor[1] - row) + view.offset[1]
+    return (x, y), (mx, my)
+
+
+def _cones(scene: Scene) -> tuple[ShadowCone, ...]:
+    if scene.sun is None:
+        return ()
+    basis, radius = scene.camera.basis(), scene.planet.radius
+    toward = basis @ scene.sun.direction
+    xp = namespace(toward, scene.sun.angular_radius_deg)
+    tangent = xp.tan(xp.deg2rad(scene.sun.angular_radius_deg))
+    axes = _complete_basis(toward)
+    bodies = (Occluder(xp.zeros(3), radius), *scene.occluders)
+    return tuple(
+        ShadowCone(axes, basis @ body.center / radius, body.radius / radius, tangent)
+        for body in bodies
+    )
+
+
+def _complete_basis(toward: Float[AnyArray, "3"]) -> Float[AnyArray, "3 3"]:
+    """Two unit vectors perpendicular to `toward`, and `toward` itself, as rows."""
+    xp = namespace(toward)
+    # The axis least aligned with `toward`: the cross product is then at least 0.8 long.
+    helper = xp.eye(3)[xp.argmin(xp.abs(toward))]
+    first = xp.cross(helper, toward)
+    first = first / xp.sqrt(xp.sum(first * first))
+    return xp.stack([first, xp.cross(toward, first), toward])
