@@ -31,3 +31,4 @@ from ._tone import Linear as Linear
 from ._tone import Srgb as Srgb
 from ._tone import ToneCurve as ToneCurve
 from ._tone import parse_tone_curve as parse_tone_curve
+from ._view import eye_center as eye_center

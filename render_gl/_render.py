@@ -1,0 +1,67 @@
+"""Rendering as functions: scene → layers, scene and look → picture."""
+
+import numpy as np
+
+from model_jax import DepthTextures, Layers, Look, Scene, eye_center
+from model_jax._shapes import Rgba
+
+from ._draw import DepthFormat, Frame, draw
+
+
+def render(scene: Scene, depth_format: DepthFormat = "window24") -> Layers:
+    """Depth layers of a scene by the paper's five passes.
+
+    Args:
+        scene: what is looked at.
+        depth_format: "window24" (the paper's 24-bit depth textures) or "linear" (float32 eye depth
+            relative to the planet's centre: for far cameras and thin shells).
+
+    Returns:
+        float32 layers [h, w] with the planet's mask, and `surface` when the planet has an albedo;
+        no shadow layers when the scene has no sun.
+
+    Raises:
+        DriverError: no usable OpenGL. InputError: what cannot be drawn, by name.
+    """
+    return frame_layers(scene, draw(scene, Look(), depth_format), depth_format)
+
+
+def render_image(scene: Scene, look: Look, depth_format: DepthFormat = "window24") -> Rgba:
+    """The picture by OpenGL: surface + air + background, linear light [h, w, 4] float32.
+
+    The air is the combine shader's own output; adding the rest is the frame buffer's part. Alpha is
+    1 in front of the planet, the air's where there is air, else 0. Raises as `render`.
+    """
+    frame = draw(scene, look, depth_format)
+    rgb = frame.air[..., :3] + frame.surface[..., :3] + np.asarray(look.background, np.float32)
+    alpha = np.maximum(frame.air[..., 3], frame.surface[..., 3])
+    return np.concatenate([rgb, alpha[..., None]], axis=-1)
+
+
+def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layers:
+    """The layers whose depths a frame's combine shader read."""
+    camera = scene.camera
+    front, back, shadow_front, shadow_back = np.moveaxis(frame.depths, -1, 0)
+    lit = scene.sun is not None
+    textures = DepthTextures(
+        front=front,
+        back=back,
+        shadow_front=shadow_front if lit else None,
+        shadow_back=shadow_back if lit else None,
+        near=camera.near,
+        far=camera.far,
+        linear=depth_format == "linear",
+        reference=eye_center(scene)[2],
+    )
+    layers = textures.linearize()
+    return Layers(
+        front=layers.front,
+        back=layers.back,
+        shadow_front=layers.shadow_front,
+        shadow_back=layers.shadow_back,
+        surface=frame.surface[..., :3] if scene.planet.albedo is not None else None,
+        planet=frame.surface[..., 3],
+        color=scene.atmosphere.color,
+        reference=layers.reference,
+        width_unit=layers.width_unit,
+    )

@@ -1,0 +1,70 @@
+#version 330
+// Pass 3: Lambert-lit albedo, and coverage 1 in alpha. LINEAR adds the depth; ALBEDO, RELIEF and
+// SUN say what the scene has. Without a sun the albedo is shown as it is.
+
+#include "sphere_map.glsl"
+
+uniform float length_unit;
+uniform vec2 clip_planes;
+in float relative_depth;
+in vec3 direction;
+
+layout(location = 0) out vec4 surface;
+#ifdef LINEAR
+layout(location = 1) out float depth;
+#endif
+
+#ifdef ALBEDO
+uniform sampler2D albedo;
+
+vec3 surface_albedo(vec3 at) {
+    vec2 uv = map_position(at);
+    // Across the date line u jumps by one; without the correction the whole map would be averaged.
+    vec2 dx = dFdx(uv), dy = dFdy(uv);
+    dx.x -= round(dx.x);
+    dy.x -= round(dy.x);
+    return textureGrad(albedo, uv, dx, dy).rgb;
+}
+#endif
+
+#ifdef SUN
+uniform vec3 sun;  // unit vector toward the sun, world axes
+#ifdef RELIEF
+uniform sampler2D relief;
+uniform float relief_scale;
+
+// Normal of the displaced sphere by central differences of the height map along two tangents.
+vec3 surface_normal(vec3 at) {
+    float step_angle = PI / float(textureSize(relief, 0).y);
+    vec3 east = normalize(abs(at.z) < 0.999 ? vec3(-at.y, at.x, 0.0) : vec3(0.0, 1.0, 0.0));
+    vec3 north = cross(at, east);
+    vec2 rise;
+    for (int axis = 0; axis < 2; axis++) {
+        vec3 side = step_angle * (axis == 0 ? east : north);
+        rise[axis] = textureLod(relief, map_position(normalize(at + side)), 0.0).r
+                   - textureLod(relief, map_position(normalize(at - side)), 0.0).r;
+    }
+    rise *= relief_scale / (2.0 * step_angle);
+    return normalize(at - rise.x * east - rise.y * north);
+}
+#else
+vec3 surface_normal(vec3 at) {
+    return at;
+}
+#endif
+#endif
+
+void main() {
+    vec3 at = normalize(direction);
+    vec3 light = vec3(0.0);
+#ifdef ALBEDO
+    light = surface_albedo(at);
+#ifdef SUN
+    light *= max(dot(surface_normal(at), sun), 0.0);
+#endif
+#endif
+    surface = vec4(light, 1.0);
+#ifdef LINEAR
+    depth = clamp(relative_depth, clip_planes.x, clip_planes.y) * length_unit;
+#endif
+}
