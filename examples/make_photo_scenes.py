@@ -25,7 +25,8 @@ EPIC_POSITIONS = "epic/2022-01-10.txt"
 ISS_PHOTO = "iss/iss_d4_56mm.jpg"
 
 EARTH_RADIUS = 6371.0
-"""Mean radius, km. The ellipsoid is ±11 km about it: ±0.7 px for EPIC, seen from latitude -29°."""
+"""Mean radius, km. Seen from latitude -29° the ellipsoid's outline is 7 km beyond it at the sides
+and 9 km within it at top and bottom: +0.5 and -0.6 px for EPIC."""
 SUN_RADIUS = 695_700.0
 """Nominal solar radius, km (IAU 2015 resolution B3)."""
 SHELL_HEIGHT = 60.0
@@ -41,8 +42,8 @@ EPIC_SIZE = 1080
 
 ISS_SIZE = (4928, 2768)
 """Columns, rows: the D4's own 16:9 format, so the principal point is the image centre."""
-ISS_FOCAL_PX = 56.0 / 0.007305
-"""EXIF focal length over pixel side, mm: 7665.8 px."""
+ISS_FOCAL_PX = 56.0 * 136.888885
+"""EXIF focal length, mm, times pixels per mm of the sensor (EXIF too): 7665.8 px."""
 ISS_PITCH_DEG = 27.00
 """Optical axis below the local horizontal (geometry.json)."""
 ISS_ROLL_DEG = 2.08
@@ -50,16 +51,18 @@ ISS_ROLL_DEG = 2.08
 ISS_BLUE_LEVEL = 0.07
 """Linear blue that marks the "blue edge": half of the faintest plateau below it (0.13)."""
 ISS_BLUE_EDGE = 24.0
-"""Height of that isophote above the ground, km, ±3. The ground's own limb cannot be seen: grazing
-air is opaque. Along a tangent at height z, vertical Rayleigh depth 0.20 (460 nm) of a 8.4 km column
-gives depth 12 ρ(z)/ρ(0); the level is 0.25 to 0.5 of the plateau, 1 - exp(-depth), so depth 0.3 to
-0.7, which the standard atmosphere has at 27 to 21 km. The first clouds, 12 to 25 km below, agree."""
+"""Height of that isophote above the ground, km, ±3: derived, not measured. The ground's own limb
+cannot be seen, for grazing air is opaque. Vertical Rayleigh depth 0.20 (460 nm) of an 8.4 km column
+gives depth 12 ρ(z)/ρ(0) along a tangent at height z. The level is 0.25 to 0.5 of the plateau, and
+with light = 1 - exp(-depth) that is depth 0.3 to 0.7: at 27 to 21 km in the standard atmosphere.
+The first clouds, 12 to 25 km below the edge, agree; the photo's tone curve is the doubt."""
 
 LIMB_HEIGHTS = {Path(EPIC_PHOTO).name: 0.0, Path(ISS_PHOTO).name: ISS_BLUE_EDGE}
 """Height, km, of the edge that is measured in each photo above the scene's planet."""
 THRESHOLD_PX = 1.0
-"""Largest rms distance between scene and photo. Derived from EPIC: ±0.7 px of oblateness (0.5 rms)
-and half a pixel of blur-dependent edge, in quadrature 0.7; the rest is for clouds."""
+"""Largest rms distance between scene and photo. A right scene must be allowed, for EPIC, 0.4 px
+rms of oblateness and half a pixel of doubt where a 2 px blur has its edge: 0.65 in quadrature.
+Small enough that a camera 2 px off fails (1.3 px at least, in any direction)."""
 
 
 def main() -> int:
@@ -131,7 +134,7 @@ near = {distance - 1.05 * EARTH_RADIUS:.1f} # 1.05 radii before and behind the c
 far = {distance + 1.05 * EARTH_RADIUS:.1f}
 
 [planet]
-radius = {EARTH_RADIUS} # mean; the ellipsoid's limb is within ±0.95 px of it
+radius = {EARTH_RADIUS} # mean; the ellipsoid's outline is 0.5 px beyond it to 0.6 px within
 
 [atmosphere]
 height = {SHELL_HEIGHT}
@@ -177,14 +180,14 @@ def iss_scene(data: Path) -> str:
 # Earth's limb from the ISS, Nikon D4, 2020-11-20. Written by make_photo_scenes.py; do not edit.
 # Photo: NASA Johnson Space Center. Lengths in km; the camera stands on the z axis.
 #
-# The radius is the ground's. Its limb is hidden by air; what the photo shows is the blue edge (linear
-# blue {ISS_BLUE_LEVEL:g}), taken to be {ISS_BLUE_EDGE:g} ± 3 km up by Rayleigh optical depth.
+# The radius is the ground's. Its limb is hidden by air; what the photo shows is the blue edge
+# (linear blue {ISS_BLUE_LEVEL:g}), which by Rayleigh optical depth is {ISS_BLUE_EDGE:g} ± 3 km up.
 #
 # The altitude is not the station's (about 420 km, not known for that minute): it is the one number
 # solved for, so that focal length (EXIF), pitch and roll as given put the blue edge where it is.
 # At 420 km the limb's curvature asks for f = 52.4 mm and pitch 25.9° instead of 56 mm and 27.0°,
 # and fits as well (lens distortion unknown): the photo cannot tell. Heights above the limb
-# are then 4% smaller.
+# are 2% smaller then.
 #
 # No [sun]: its direction is unknown and no terminator is in the frame, so no shadow volume.
 
@@ -192,7 +195,7 @@ def iss_scene(data: Path) -> str:
 position = {_list(camera["position"], 2)}
 forward = {_list(forward, 12)} # {ISS_PITCH_DEG:.2f}° below the horizontal
 up = {_list(up, 12)} # rolled {ISS_ROLL_DEG:.2f}° clockwise
-fov_y_deg = {camera["fov_y_deg"]:.10f} # 56 mm, 7.305 µm: f = {ISS_FOCAL_PX:.1f} px
+fov_y_deg = {camera["fov_y_deg"]:.10f} # EXIF 56 mm, 7.305 µm: f = {ISS_FOCAL_PX:.1f} px
 width = {columns}
 height = {rows}
 near = {near:.1f} # 5% clear of the shell's nearest and farthest depth in the frame
@@ -310,7 +313,8 @@ def limb_points(
     """Limb of a disc, sub-pixel, on its sunlit half: [361, 2] points (x, y) in pixels.
 
     `image` [h, w] is linear luminance, `centre` (x, y) and `radius` say where the limb is within
-    20 px, `sun_azimuth` is the sun's direction in the picture, radians counter-clockwise from right.
+    20 px, `sun_azimuth` is the sun's direction in the picture, radians counter-clockwise from the
+    right.
 
     The limb is where a radial profile, followed inward, passes half the luminance found 6 to 15 px
     inside. In linear light a symmetric blur leaves a step's half level where the step is,

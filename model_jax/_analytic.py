@@ -42,7 +42,7 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
             'call jax.config.update("jax_enable_x64", True) first'
         )
     camera, radius = scene.camera, scene.planet.radius
-    depths = _trace(view_of(scene).astype(dtype), camera.height, camera.width)
+    depths = trace_view(view_of(scene).astype(dtype), camera.height, camera.width)
     scale = jnp.asarray(radius, dtype)
     front, back, planet, *shadow = depths
     return Layers(
@@ -58,7 +58,7 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
 
 
 @partial(jax.jit, static_argnums=(1, 2))
-def _trace(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
+def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
     """Front, back, planet mask and, with a sun, shadow front and back, in planet radii."""
     (x, y), (mx, my) = pixel_rays(view, height, width)
 
@@ -66,7 +66,7 @@ def _trace(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
         return jnp.clip(depth, view.near, view.far)
 
     in_shell, (front, back) = ray_sphere(x, y, mx, my, view.shell)
-    cut, (ground, behind) = ray_sphere(x, y, mx, my, jnp.ones_like(view.shell))
+    cut, (ground, behind) = ray_sphere(x, y, mx, my, view.planet)
     # The planet ends the ray where it is met at or beyond the near plane.
     hit = cut & (behind > view.near) & (ground < view.far)
     front, back = clamp(front), clamp(jnp.where(hit, ground, back))

@@ -45,8 +45,10 @@ class View(eqx.Module):
     near: Scalar
     """Eye depth of the near plane relative to the planet's centre."""
     far: Scalar
+    planet: Scalar
+    """Radius of the ground: 1, unless an error bound varies it."""
     shell: Scalar
-    """Radius of the air's outer edge; the planet's is 1."""
+    """Radius of the air's outer edge."""
     cones: tuple[ShadowCone, ...]
     """Shadow volumes: the planet's first."""
 
@@ -82,6 +84,7 @@ def view_of(scene: Scene) -> View:
         offset=offset,
         near=camera.near / radius - depth,
         far=camera.far / radius - depth,
+        planet=1.0,
         shell=1.0 + scene.atmosphere.height / radius,
         cones=_cones(scene),
     )

@@ -178,7 +178,7 @@ def _draw(
     if inside_air:
         context.enable_only(moderngl.NOTHING)
         screen = program("screen.vert", "combine.frag", defines)
-        _assign(screen, uniforms)
+        assign_uniforms(screen, uniforms)
         context.vertex_array(screen, []).render(vertices=3)
     else:
         context.enable_only(moderngl.CULL_FACE)
@@ -296,12 +296,12 @@ def _geometry(mesh: Mesh) -> tuple[Any, Any]:
 def _render(
     context: "moderngl.Context", geometry: tuple[Any, Any], shader: Any, uniforms: dict[str, Any]
 ) -> None:
-    _assign(shader, uniforms)
+    assign_uniforms(shader, uniforms)
     vertices, triangles = geometry
     context.vertex_array(shader, [(vertices, "3f", "position")], triangles).render()
 
 
-def _assign(shader: Any, uniforms: dict[str, Any]) -> None:
+def assign_uniforms(shader: Any, uniforms: dict[str, Any]) -> None:
     for name in shader:
         if type(shader[name]).__name__ == "Uniform":
             shader[name].value = uniforms[name]

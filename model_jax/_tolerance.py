@@ -1,0 +1,62 @@
+"""How far apart two right renderings may be: widths under a tolerance on the geometry.
+
+Every width grows or shrinks monotonically with each radius, so the widths of a scene whose
+spheres are only known to lie between two radii lie between the widths at the extremes. That needs
+no linearisation, and holds at the limb, where the derivative is infinite.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ._analytic import trace_view
+from ._combine import layer_widths
+from ._layers import Layers
+from ._scene import Scene
+from ._view import View, view_of
+
+Range = tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]
+
+
+def width_ranges(scene: Scene, inner: float, outer: float) -> tuple[Range, Range]:
+    """Least and greatest lit and dark width when every surface may be displaced.
+
+    Args:
+        scene: the scene with exact spheres.
+        inner, outer: how far inside and outside its true place, in planet radii, each surface
+            (ground, shell, shadow) may lie, both ≥ 0.
+
+    Returns:
+        `((lit_min, lit_max), (dark_min, dark_max))`, float64 [h, w], in scene length units; dark is
+        zero without a sun.
+    """
+    with jax.enable_x64(True):
+        view = view_of(scene).astype(jnp.float64)
+
+        def widths(ground: float, shell: float, shadow: float) -> tuple[np.ndarray, np.ndarray]:
+            return _widths(_displaced(view, ground, shell, shadow), scene)
+
+        lit_min, _ = widths(outer, -inner, outer)
+        lit_max, _ = widths(-inner, outer, -inner)
+        _, dark_min = widths(outer, -inner, -inner)
+        _, dark_max = widths(-inner, outer, outer)
+    return (lit_min, lit_max), (dark_min, dark_max)
+
+
+def _displaced(view: View, ground: float, shell: float, shadow: float) -> View:
+    view = eqx.tree_at(
+        lambda v: (v.planet, v.shell), view, (view.planet + ground, view.shell + shell)
+    )
+    for k, cone in enumerate(view.cones):
+        view = eqx.tree_at(lambda v, k=k: v.cones[k].radius, view, cone.radius + shadow)
+    return view
+
+
+def _widths(view: View, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    front, back, _, *shadow = trace_view(view, scene.camera.height, scene.camera.width)
+    lit, dark = layer_widths(Layers(front, back, *(shadow or (None, None))))
+    radius = float(scene.planet.radius)
+    dark = jnp.zeros_like(lit) if dark is None else dark
+    return np.asarray(lit) * radius, np.asarray(dark) * radius

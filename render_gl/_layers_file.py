@@ -1,0 +1,152 @@
+"""Layer sets as EXR files: what `Layers` holds, and optionally the combined picture.
+
+    front.Z  back.Z  shadow_front.Z  shadow_back.Z   eye depth relative to the header's reference
+    surface.R/G/B   planet.A   R G B A               optional, as the layers have them
+
+Header: airlight.reference, airlight.width_unit, airlight.color, airlight.near, airlight.far,
+airlight.depth ("eye" or "window"), airlight.scene (JSON) and airlight.scene_hash.
+
+Files of other renderers need `front.Z` and `back.Z` only: eye depths, or window depths with near
+and far in the header or given by the caller.
+"""
+
+import json
+
+import numpy as np
+
+from model_jax import DepthTextures, InputError, Layers, Scene
+from model_jax._shapes import Rgba
+
+from ._exr import read_channels, write_channels
+from ._files import PathLike
+from ._scene_file import scene_hash, scene_record
+
+DEPTHS = ("front", "back", "shadow_front", "shadow_back")
+
+
+def write_layers(
+    path: PathLike, layers: Layers, scene: Scene | None = None, picture: Rgba | None = None
+) -> None:
+    """Write layers, float32, with the scene in the header; `picture` becomes R, G, B and A.
+
+    The file appears whole or not at all; raises `InputError` when it cannot be written.
+    """
+    channels = {
+        f"{name}.Z": np.asarray(depth)
+        for name in DEPTHS
+        if (depth := getattr(layers, name)) is not None
+    }
+    if layers.surface is not None:
+        channels |= {f"surface.{c}": np.asarray(layers.surface)[..., k] for k, c in enumerate("RGB")}
+    if layers.planet is not None:
+        channels["planet.A"] = np.asarray(layers.planet)
+    if picture is not None:
+        channels |= picture_channels(picture)
+    attributes: dict[str, str | float | tuple[float, ...]] = {
+        "airlight.depth": "eye",
+        "airlight.reference": float(layers.reference),
+        "airlight.width_unit": float(layers.width_unit),
+        # EXR has no vector of four doubles.
+        "airlight.color": tuple(float(c) for c in np.asarray(layers.color)[:3]),
+        "airlight.alpha": float(np.asarray(layers.color)[3]),
+    }
+    if scene is not None:
+        attributes |= scene_attributes(scene)
+    write_channels(path, channels, attributes)
+
+
+def write_picture(path: PathLike, picture: Rgba, scene: Scene | None = None) -> None:
+    """Write a picture, linear light [h, w, 4] or [h, w, 3], as float32 EXR."""
+    write_channels(path, picture_channels(picture), scene_attributes(scene) if scene else {})
+
+
+def read_layers(
+    path: PathLike, near: float | None = None, far: float | None = None
+) -> Layers:
+    """Layers from an EXR file, this project's or another renderer's.
+
+    Args:
+        near, far: clip planes; given (or in the header of a file that says
+            `airlight.depth = "window"`) the depths are window depths in [0, 1].
+
+    Raises `InputError` for unreadable files, missing channels and impossible clip planes.
+    """
+    channels, header = read_channels(path)
+    for name in ("front.Z", "back.Z"):
+        if name not in channels:
+            raise InputError(
+                f"{path}: has no channel {name} (it has {', '.join(sorted(channels))}); "
+                "a layer file needs front.Z and back.Z"
+            )
+    if ("shadow_front.Z" in channels) != ("shadow_back.Z" in channels):
+        raise InputError(f"{path}: has one of shadow_front.Z and shadow_back.Z; give both or none")
+    window = near is not None or far is not None or header.get("airlight.depth") == "window"
+    near = header.get("airlight.near") if near is None else near  # type: ignore[assignment]
+    far = header.get("airlight.far") if far is None else far  # type: ignore[assignment]
+    if window:
+        _check_planes(path, channels, near, far)
+    textures = DepthTextures(
+        **{name: channels.get(f"{name}.Z") for name in DEPTHS},
+        near=near if window else 0.0,
+        far=far if window else 1.0,
+        linear=not window,
+        reference=_number(path, header, "airlight.reference", 0.0),
+    )
+    linear = textures.linearize()
+    rgb = [f"surface.{c}" for c in "RGB"]
+    surface = np.stack([channels[c] for c in rgb], axis=-1) if set(rgb) <= set(channels) else None
+    color = header.get("airlight.color", (1.0, 1.0, 1.0))
+    if not (isinstance(color, tuple) and len(color) == 3):
+        raise InputError(f"{path}: airlight.color is {color!r}; it must be three numbers")
+    return Layers(
+        front=linear.front,
+        back=linear.back,
+        shadow_front=linear.shadow_front,
+        shadow_back=linear.shadow_back,
+        surface=surface,
+        planet=channels.get("planet.A"),
+        color=np.array([*color, _number(path, header, "airlight.alpha", 1.0)]),
+        reference=linear.reference,
+        width_unit=linear.width_unit
+        if window
+        else _number(path, header, "airlight.width_unit", 1.0),
+    )
+
+
+def picture_channels(picture: Rgba) -> dict[str, np.ndarray]:
+    """R, G, B (and A) channels of a picture."""
+    pixels = np.asarray(picture)
+    return {name: pixels[..., k] for k, name in enumerate("RGBA"[: pixels.shape[-1]])}
+
+
+def scene_attributes(scene: Scene) -> dict[str, str | float]:
+    """Header attributes that tell which scene a file shows."""
+    return {
+        "airlight.near": float(scene.camera.near),
+        "airlight.far": float(scene.camera.far),
+        "airlight.scene": json.dumps(scene_record(scene)),
+        "airlight.scene_hash": scene_hash(scene),
+    }
+
+
+def _check_planes(path: PathLike, channels: dict, near: object, far: object) -> None:
+    numbers = isinstance(near, int | float) and isinstance(far, int | float)
+    if not numbers or not 0 < near < far < np.inf:  # type: ignore[operator]
+        raise InputError(
+            f"{path}: window depths need clip planes 0 < near < far, not near {near}, far {far}; "
+            "give --near and --far"
+        )
+    for name in ("front.Z", "back.Z"):
+        values = channels[name]
+        if np.any((values < 0) | (values > 1)):
+            raise InputError(
+                f"{path}: {name} runs from {np.nanmin(values):g} to {np.nanmax(values):g}, which "
+                "are no window depths (0 to 1); leave --near and --far away if they are eye depths"
+            )
+
+
+def _number(path: PathLike, header: dict[str, object], name: str, default: float) -> float:
+    value = header.get(name, default)
+    if not isinstance(value, int | float) or not np.isfinite(value):
+        raise InputError(f"{path}: {name} is {value!r}; it must be a finite number")
+    return float(value)
