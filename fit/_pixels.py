@@ -151,7 +151,10 @@ def _widths(depths: list[np.ndarray | None], unit: float) -> tuple[np.ndarray, n
         return row
 
     with jax.enable_x64(True):
-        lit, dark = _jit_widths(Layers(*(padded(depth) for depth in depths), width_unit=unit))
+        front, back, shadow_front, shadow_back = (padded(depth) for depth in depths)
+        assert front is not None
+        assert back is not None
+        lit, dark = _jit_widths(Layers(front, back, shadow_front, shadow_back, width_unit=unit))
         lit = np.asarray(lit)[0, :n]
         return lit, np.zeros_like(lit) if dark is None else np.asarray(dark)[0, :n]
 

@@ -2,9 +2,10 @@
 
 The picture is linear in the columns `A = [1 lit dark]`, channel by channel, so all that plain least
 squares asks of the pixels is in the triangle R of the QR decomposition of the tall matrix
-`[A y_r y_g y_b]`: `|A x - y_k|² = |R_A x - R_k|² + |rest_k|²`. R is updated tile by tile (TSQR: Demmel,
-Grigori, Hoemmen, Langou, "Communication-optimal parallel and sequential QR and LU factorizations",
-SIAM J. Sci. Comput. 34, 2012), in float64 NumPy, memory bounded by one tile. Nothing is binned.
+`[A y_r y_g y_b]`: `|A x - y_k|² = |R_A x - R_k|² + |rest_k|²`. R is updated tile by tile (TSQR:
+Demmel, Grigori, Hoemmen, Langou, "Communication-optimal parallel and sequential QR and LU
+factorizations", SIAM J. Sci. Comput. 34, 2012), in float64 NumPy, memory bounded by one tile.
+Nothing is binned.
 """
 
 from dataclasses import dataclass
@@ -71,7 +72,7 @@ def reduce_pixels(photo: Photo | np.ndarray | jax.Array, layers: Layers, pixels:
         scale = np.array([1.0, *2 * [new_width or 1.0], *3 * [new_light or 1.0]])
         before = np.array([1.0, *2 * [width or 1.0], *3 * [light or 1.0]])
         kept = triangle * (before / scale)
-        triangle = np.linalg.qr(np.concatenate([kept, columns / scale]), mode="r")
+        triangle = np.asarray(np.linalg.qr(np.concatenate([kept, columns / scale]), mode="r"))
         light, width = new_light, new_width
     full = np.zeros((6, 6))
     full[: len(triangle)] = triangle
@@ -123,7 +124,7 @@ def _power_of_two(value: float) -> float:
 
 
 def _width_error(layers: Layers, pixels: Pixels) -> float:
-    """Four depths enter a width, each rounded to half an ulp of the largest depth; in width_units."""
+    """Four depths enter a width, each off by half an ulp of the largest at most; width_units."""
     if not pixels.count:
         return 0.0
     front, back = np.asarray(layers.front), np.asarray(layers.back)

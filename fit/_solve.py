@@ -1,14 +1,15 @@
-"""The descent: from the reduced pixels to the best look, with optimistix, and its independent check.
+"""The descent: from the reduced pixels to the best look, with optimistix.
 
 What the solver sees is of order one whatever the photo's exposure and the scene's lengths: it moves
 from a start that the data suggest, along directions each scaled so that one unit of it changes the
 picture by as much as the picture is. It runs in float64 by a scoped switch that leaves the caller's
-JAX configuration alone. Its own word on success is not taken: the end point is judged in NumPy,
-with derivatives written by hand and the exact optimum for given shadow weights.
+JAX configuration alone. Its own word on success is not taken: `_fit` judges the end point in NumPy,
+with the derivatives written by hand here.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -51,7 +52,7 @@ _DIRECTIONS = 9
 """Most degrees of freedom: brightness, 2 of tint, 3 shadow weights, 3 levels. Unused ones are held
 at zero by a residual of their own, so that JAX compiles one program for every choice."""
 
-_CHECK = 1e-6
+CHECK = 1e-6
 """How far, as a share of the variance of one sample, the square sum at the end may lie above what a
 Gauss–Newton step promises: the parameters are then within 1e-3 standard errors of the optimum."""
 
@@ -182,27 +183,25 @@ def descend(
 def _run(
     solver: Solver, arguments: tuple[jax.Array, ...], max_steps: int
 ) -> tuple[jax.Array, jax.Array]:
-    def residual(step: jax.Array, arguments: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+    def residual(step: jax.Array, arguments: Any) -> Any:
         start, steps_to_vector, idle, color, design, target = arguments
         terms = coefficients(start + steps_to_vector @ step, color)
         return design @ terms - target, idle * step
 
     start = jnp.zeros(_DIRECTIONS, arguments[0].dtype)
-    solution = optx.least_squares(
+    solution: optx.Solution = optx.least_squares(
         residual, solver, start, arguments, max_steps=max_steps, throw=False
     )
     return solution.value, solution.stats["num_steps"]
 
 
-def scan(
-    problem: Problem, start: LookVector, free: Sequence[FreeParameter]
-) -> list[LookVector]:
+def scan(problem: Problem, start: LookVector, free: Sequence[FreeParameter]) -> list[LookVector]:
     """Exact optima for a fan of shadow weights (for the start's own where shadow is not free).
 
     Given the weight the picture is linear in what remains, brightness × tint counting as one number
-    per channel. With tint free and one weight for all channels, what is left is a Rayleigh quotient
-    of two by two matrices in the direction (lit, dark), which has one valley: 33 directions over the
-    quarter circle of weights ≥ 0 cannot miss it.
+    per channel. With tint free and one weight for all channels, what is left is a Rayleigh
+    quotient of two by two matrices in the direction (lit, dark), which has one valley: 33
+    directions over the quarter circle of weights ≥ 0 cannot miss it.
     """
     families = {p.family for p in free}
     weights = [start[SHADOW]]

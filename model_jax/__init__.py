@@ -7,6 +7,7 @@ The ground floor of airlight: it knows no files, no OpenGL, no photos and no sol
 """
 
 from ._analytic import analytic_layers as analytic_layers
+from ._analytic import limb_height as limb_height
 from ._combine import combine as combine
 from ._combine import composite as composite
 from ._combine import layer_widths as layer_widths

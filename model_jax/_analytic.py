@@ -8,10 +8,12 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
+from jaxtyping import Float
 
 from ._errors import InputError
-from ._intersect import ray_cone, ray_sphere
+from ._intersect import ray_cone, ray_sphere, squared_miss_distance
 from ._layers import Layers
 from ._scene import Scene
 from ._shapes import AnyArray
@@ -36,7 +38,7 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
     Raises:
         InputError: float64 asked for while JAX has it switched off; occluders.
     """
-    if jnp.dtype(dtype) == jnp.float64 and not jax.config.jax_enable_x64:
+    if jax.dtypes.canonicalize_dtype(dtype) != jnp.dtype(dtype):
         raise InputError(
             "analytic_layers: dtype float64 while JAX has 64-bit numbers switched off; "
             'call jax.config.update("jax_enable_x64", True) first'
@@ -80,3 +82,17 @@ def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
     enter, leave = clamp(enter), clamp(leave)
     dark = leave > enter
     return front, back, planet, jnp.where(dark, enter, empty), jnp.where(dark, leave, empty)
+
+
+def limb_height(scene: Scene) -> Float[np.ndarray, "h w"]:
+    """Height above the ground at which each pixel's line of sight passes the planet's centre.
+
+    Float64 NumPy, scene length units; negative where the line meets the planet. The abscissa of a
+    limb profile.
+    """
+    radius = float(scene.planet.radius)
+    with jax.enable_x64(True):
+        view = view_of(scene).astype(jnp.float64)
+        (x, y), (mx, my) = pixel_rays(view, scene.camera.height, scene.camera.width)
+        squared, _ = squared_miss_distance(x, y, mx, my)
+        return (np.sqrt(np.asarray(squared)) - 1.0) * radius

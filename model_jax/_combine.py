@@ -9,10 +9,12 @@ kinks are min/max ties, where JAX takes half of each side.
 """
 
 import jax.numpy as jnp
+from jax.typing import DTypeLike
+from jaxtyping import Float
 
 from ._layers import Layers
 from ._look import Look
-from ._shapes import Rgba, Width
+from ._shapes import AnyArray, Rgba, Scalar, Width
 
 
 def layer_widths(layers: Layers) -> tuple[Width, Width | None]:
@@ -52,9 +54,9 @@ def combine(layers: Layers, look: Look) -> Rgba:
     dtype = lit.dtype
     width = lit[..., None]
     if dark is not None:
-        width = width + jnp.asarray(look.shadow, dtype) * dark[..., None]
+        width = width + _per_channel(look.shadow, dtype) * dark[..., None]
     color = jnp.asarray(layers.color, dtype)
-    tinted = color[:3] * jnp.asarray(look.tint, dtype)
+    tinted = _per_channel(color[:3], dtype) * _per_channel(look.tint, dtype)
     rgb = jnp.asarray(look.brightness, dtype) * (tinted * width)
     alpha = jnp.where(layers.has_air, color[3], 0)
     return jnp.concatenate([rgb, alpha[..., None].astype(dtype)], axis=-1)
@@ -68,10 +70,15 @@ def composite(layers: Layers, look: Look) -> Rgba:
         the planet where the layers know it, else the air's.
     """
     air = combine(layers, look)
-    rgb = air[..., :3] + jnp.asarray(look.background, air.dtype)
+    rgb = air[..., :3] + _per_channel(look.background, air.dtype)
     if layers.surface is not None:
         rgb = rgb + jnp.asarray(layers.surface, air.dtype)
     alpha = air[..., 3]
     if layers.planet is not None:
         alpha = jnp.maximum(alpha, jnp.asarray(layers.planet, air.dtype))
     return jnp.concatenate([rgb, alpha[..., None]], axis=-1)
+
+
+def _per_channel(value: Scalar | AnyArray, dtype: DTypeLike) -> Float[AnyArray, "1 1 channels"]:
+    """One number or one per channel, ready to multiply an image."""
+    return jnp.asarray(value, dtype).reshape(1, 1, -1)

@@ -24,13 +24,22 @@ def ray_sphere(
         `(hit, (enter, leave))`: hit is True where the ray's line cuts the sphere; a line that
         misses gets a zero-length interval at its closest approach, with gradient zero in radius.
     """
-    dd = 1 + x * x + y * y
-    # |m × d|² / |d|² with m_z = 0: a sum of squares, nothing to cancel.
-    squared_distance = (mx * mx + my * my + (mx * y - my * x) ** 2) / dd
+    squared_distance, dd = squared_miss_distance(x, y, mx, my)
     discriminant = radius * radius - squared_distance
     closest = -(mx * x + my * y) / dd
     half = safe_sqrt(discriminant / dd)
     return discriminant > 0, (closest - half, closest + half)
+
+
+def squared_miss_distance(
+    x: AnyArray, y: AnyArray, mx: AnyArray, my: AnyArray
+) -> tuple[AnyArray, AnyArray]:
+    """Squared distance of each ray's line to the origin, and `|d|²`.
+
+    `|m × d|² / |d|²` with `m_z = 0` is a sum of squares: nothing cancels.
+    """
+    dd = 1 + x * x + y * y
+    return (mx * mx + my * my + (mx * y - my * x) ** 2) / dd, dd
 
 
 def ray_cone(x: AnyArray, y: AnyArray, mx: AnyArray, my: AnyArray, cone: ShadowCone) -> Interval:

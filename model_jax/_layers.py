@@ -7,11 +7,17 @@ somebody's own renderer. What a scene does not need is absent (`None`), never ze
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from ._safe import is_host
 from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar
+
+
+def _array(value: object) -> AnyArray:
+    return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
 
 
 class Layers(eqx.Module):
@@ -34,7 +40,7 @@ class Layers(eqx.Module):
     """Light of the planet's surface in front of which the air lies; 0 where there is none."""
     planet: Float[AnyArray, "h w"] | None = None
     """1 where the planet ends the ray, 0 where space does; `None` when nobody knows."""
-    color: Float[AnyArray, "4"] = eqx.field(default=(1.0, 1.0, 1.0, 1.0))
+    color: Float[AnyArray, "4"] = eqx.field(converter=_array, default=(1.0, 1.0, 1.0, 1.0))
     """Linear RGB and alpha of the air (the shell's vertex colour in the paper)."""
     reference: Scalar = 0.0
     """Eye depth that the depths are relative to; float64 on the host."""
@@ -69,16 +75,16 @@ class DepthTextures(eqx.Module):
     def linearize(self) -> Layers:
         """`Layers` without surface, planet mask or colour (the renderer adds what it drew)."""
 
-        def depth(texture: AnyArray | None) -> AnyArray | None:
-            if texture is None or self.linear:
-                return texture
-            return linearize_depth(texture, self.near, self.far)
+        def depth(texture: AnyArray) -> AnyArray:
+            return texture if self.linear else linearize_depth(texture, self.near, self.far)
+
+        shadow_front, shadow_back = self.shadow_front, self.shadow_back
 
         return Layers(
             front=depth(self.front),
             back=depth(self.back),
-            shadow_front=depth(self.shadow_front),
-            shadow_back=depth(self.shadow_back),
+            shadow_front=None if shadow_front is None else depth(shadow_front),
+            shadow_back=None if shadow_back is None else depth(shadow_back),
             reference=self.reference if self.linear else 0.0,
             width_unit=self.far - self.near,
         )

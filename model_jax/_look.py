@@ -65,7 +65,7 @@ class Look(eqx.Module):
     """Light added to every pixel (sky glow, black level), one number or one per channel."""
 
     def __check_init__(self) -> None:
-        shapes = {"brightness": [()], "tint": [(3,)]}
+        shapes: dict[str, list[tuple[int, ...]]] = {"brightness": [()], "tint": [(3,)]}
         for name, info in PARAMETERS.items():
             value = getattr(self, name)
             if np.shape(value) not in shapes.get(name, [(), (3,)]):

@@ -11,7 +11,7 @@ All take NumPy or JAX arrays and return the same kind.
 import jax.numpy as jnp
 import numpy as np
 
-from ._shapes import AnyArray, namespace
+from ._shapes import AnyArray, Scalar, namespace
 
 
 def safe_sqrt(x: AnyArray) -> AnyArray:
@@ -24,7 +24,7 @@ def safe_sqrt(x: AnyArray) -> AnyArray:
     return xp.where(positive, xp.sqrt(xp.where(positive, x, 1)), 0)
 
 
-def safe_power(x: AnyArray, exponent: float | AnyArray) -> AnyArray:
+def safe_power(x: AnyArray, exponent: Scalar) -> AnyArray:
     """`max(x, 0) ** exponent` for exponent > 0, with derivative 0 for x ≤ 0.
 
     The naive form breaks at x = 0: for exponents below one the derivative is infinite, and the

@@ -9,8 +9,6 @@ tracing cannot be checked and are taken as they are.
 Files are no business of this module: `relief` and `albedo` only name what a renderer loads.
 """
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import numpy as np
@@ -89,7 +87,8 @@ class Camera(eqx.Module):
             size = getattr(self, name)
             if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= 65536:
                 raise InputError(f"camera.{name}: {size!r} must be a whole number, 1 to 65536")
-        _require("camera.fov_y_deg", self.fov_y_deg, 0 < self.fov_y_deg < 180, "between 0 and 180")
+        fov = self.fov_y_deg
+        _require("camera.fov_y_deg", fov, (fov > 0) & (fov < 180), "between 0 and 180")
         _require("camera.near", self.near, self.near > 0, "above 0")
         _require(
             "camera.far", self.far, self.far > self.near, f"above camera.near ({self.near})"
@@ -190,7 +189,8 @@ class Sun(eqx.Module):
         _require_vector("sun.direction", self.direction)
         _require_direction("sun.direction", self.direction)
         radius = self.angular_radius_deg
-        _require("sun.angular_radius_deg", radius, 0 <= radius < 90, "at least 0 and below 90")
+        possible = (radius >= 0) & (radius < 90)
+        _require("sun.angular_radius_deg", radius, possible, "at least 0 and below 90")
 
 
 class Occluder(eqx.Module):
@@ -253,5 +253,5 @@ def _require_direction(name: str, value: AnyArray) -> None:
         raise InputError(f"{name}: {_show(value)} has no length; give a direction")
 
 
-def _show(value: AnyArray | Sequence[float]) -> str:
+def _show(value: Scalar | AnyArray) -> str:
     return str([float(f"{number:.6g}") for number in np.ravel(value)])

@@ -15,6 +15,7 @@ from ._analytic import trace_view
 from ._combine import layer_widths
 from ._layers import Layers
 from ._scene import Scene
+from ._shapes import Scalar
 from ._view import View, view_of
 
 Range = tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]
@@ -46,12 +47,12 @@ def width_ranges(scene: Scene, inner: float, outer: float) -> tuple[Range, Range
 
 
 def _displaced(view: View, ground: float, shell: float, shadow: float) -> View:
-    view = eqx.tree_at(
-        lambda v: (v.planet, v.shell), view, (view.planet + ground, view.shell + shell)
-    )
-    for k, cone in enumerate(view.cones):
-        view = eqx.tree_at(lambda v, k=k: v.cones[k].radius, view, cone.radius + shadow)
-    return view
+    def radii(v: View) -> list[Scalar]:
+        return [v.planet, v.shell, *(cone.radius for cone in v.cones)]
+
+    changes = [ground, shell] + [shadow] * len(view.cones)
+    moved = [radius + change for radius, change in zip(radii(view), changes, strict=True)]
+    return eqx.tree_at(radii, view, moved)
 
 
 def _widths(view: View, scene: Scene) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ than a near one.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Float
 
 from ._safe import safe_divide
@@ -52,7 +53,7 @@ class View(eqx.Module):
     cones: tuple[ShadowCone, ...]
     """Shadow volumes: the planet's first."""
 
-    def astype(self, dtype: jnp.dtype) -> "View":
+    def astype(self, dtype: DTypeLike) -> "View":
         """All leaves as JAX arrays of one dtype."""
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
 
@@ -94,7 +95,7 @@ def pixel_rays(
     view: View, height: int, width: int
 ) -> tuple[tuple[AnyArray, AnyArray], tuple[AnyArray, AnyArray]]:
     """`(x, y)` and `(mx, my)` at the pixel centres, each of shape [1, w] or [h, 1]."""
-    dtype = view.pixel.dtype
+    dtype = jnp.result_type(view.pixel)
     column = jnp.arange(width, dtype=dtype)[None, :]
     row = jnp.arange(height, dtype=dtype)[:, None]
     x = view.pixel * (column - (width - 1) / 2)

@@ -6,8 +6,8 @@ Sources of width error of a scene whose planet is a sphere, all per surface:
     pixel grid    vertices are snapped to 1/256 pixel (8 sub-pixel bits, the OpenGL minimum is 4 and
                   llvmpipe and all common GPUs have 8), which moves a silhouette by that much
     transform     float32 positions: 8 ulp of the shell's radius
-    depth format  window depths are rounded to 2⁻²⁴ and computed in float32 (4 ulp of 1): at eye depth
-                  z a step ε is ε z² (far - near) / (far near)
+    depth format  window depths are rounded to 2⁻²⁴ and computed in float32 (4 ulp of 1): at eye
+                  depth z a step ε is ε z² (far - near) / (far near)
 
 The first three displace surfaces, and `width_ranges` tells what any such displacement can do to a
 width, near tangency included; the last adds to each of the two depths of a width.
@@ -48,7 +48,7 @@ class Accuracy:
 
     def summary(self) -> dict[str, object]:
         """Figures for `airlight check`, scene length units, as JSON data."""
-        rows = {}
+        rows: dict[str, object] = {}
         for name, measured, predicted in zip(
             ("lit", "dark"), self.measured, self.predicted, strict=True
         ):
@@ -63,7 +63,7 @@ class Accuracy:
                 "predicted_max": float(np.max(allowed)),
                 "predicted_median": float(np.median(allowed)),
             }
-        return {"passed": self.passed, "outside": self.outside} | rows
+        return {"passed": self.passed, "outside": self.outside, **rows}
 
 
 def smooth(scene: Scene) -> Scene:
@@ -105,9 +105,7 @@ def displacement(scene: Scene) -> tuple[float, float]:
     return deficit + rounding, rounding
 
 
-def depth_step(
-    scene: Scene, layers: Layers, depth_format: DepthFormat
-) -> Float[np.ndarray, "h w"]:
+def depth_step(scene: Scene, layers: Layers, depth_format: DepthFormat) -> Float[np.ndarray, "h w"]:
     """Error of one depth by its format, scene length units."""
     near, far = float(scene.camera.near), float(scene.camera.far)
     back = np.asarray(layers.back, dtype=np.float64)

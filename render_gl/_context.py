@@ -6,7 +6,7 @@ in the drawing modules only, so that reading scenes and layer files works withou
 
 import os
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from model_jax import DriverError
 
@@ -28,13 +28,13 @@ def gl_context() -> "moderngl.Context":
     try:
         import moderngl
 
-        context = moderngl.create_context(
-            standalone=True,
-            require=MINIMUM_VERSION,
-            backend="egl",
-            libgl="libGL.so.1",
-            libegl="libEGL.so.1",
-        )
+        # moderngl's stub types these settings as dicts; they are strings.
+        settings: dict[str, Any] = {
+            "backend": "egl",
+            "libgl": "libGL.so.1",
+            "libegl": "libEGL.so.1",
+        }
+        context = moderngl.create_context(standalone=True, require=MINIMUM_VERSION, **settings)
     except Exception as error:  # glcontext raises bare Exception
         raise DriverError(
             f"no OpenGL {MINIMUM_VERSION / 100:.1f} driver could be opened through EGL ({error}); "

@@ -7,24 +7,24 @@
     5 front faces of the shell         → air, and the four depths that the shader saw
 
 Depth formats: "window24", the paper's 24-bit depth textures, and "linear", float32 eye depth
-relative to the planet's centre. Passes 1 and 2 are left out when the scene has no sun. What the
-combine shader read is written out by itself, so that JAX recombines the very same numbers.
+relative to the planet's centre in a colour attachment. Passes 1 and 2 are left out when the scene
+has no sun. What the combine shader read is written out by the shader itself, so that JAX recombines
+the very same numbers.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import DriverError, InputError, Look, Scene, depth_constants
+from model_jax import DriverError, InputError, Look, Scene
 
 from ._context import gl_context
 from ._maps import load_albedo, load_relief
 from ._mesh import Mesh, shadow_mesh, sphere_mesh
 from ._shaders import program
+from ._uniforms import defines_of, uniforms_of
 
 if TYPE_CHECKING:
     import moderngl
@@ -66,182 +66,162 @@ def draw(scene: Scene, look: Look, depth_format: DepthFormat) -> Frame:
             "yet; remove [[occluder]]"
         )
     context = gl_context()
-    camera = scene.camera
-    _check_size(context, "camera", camera.width, camera.height)
-    with _resources(context):
-        frame = _draw(context, scene, look, depth_format)
+    _check_size(context, "camera", scene.camera.width, scene.camera.height)
+    try:
+        frame = _Passes(context, scene, look, depth_format == "linear").run()
+    finally:
+        context.gc()  # so that a thousand renders need no more memory than one
     if (error := context.error) != "GL_NO_ERROR":
         raise DriverError(f"OpenGL reports {error} after drawing; the driver may be out of memory")
     return frame
 
 
-def _draw(
-    context: "moderngl.Context", scene: Scene, look: Look, depth_format: DepthFormat
-) -> Frame:
+def assign_uniforms(shader: "moderngl.Program", values: dict[str, Any]) -> None:
+    """Give a program its uniforms by name; one that `values` lacks is a `KeyError`."""
     import moderngl
 
-    camera, size = scene.camera, (scene.camera.width, scene.camera.height)
-    linear = depth_format == "linear"
-    uniforms = _uniforms(scene, look, linear)
-    defines = _defines(scene, linear)
-    sphere = _geometry(sphere_mesh(scene.planet.triangles))
-    shell = float(1 + scene.atmosphere.height / scene.planet.radius)
-    position = np.asarray(camera.position) / float(scene.planet.radius)
-    inside_air = bool(np.linalg.norm(position) <= shell)
-    uniforms["size"] = 1.0
-    context.enable_direct(DEPTH_CLAMP)
-    context.depth_func = "<="
+    for name in shader:
+        member = shader[name]
+        if isinstance(member, moderngl.Uniform):
+            member.value = values[name]
 
-    def depth_texture() -> Any:
-        if linear:
-            return context.texture(size, 1, dtype="f4")
-        return context.depth_texture(size)
 
-    def target(texture: Any, clear: float) -> Any:
-        framebuffer = (
-            context.framebuffer([texture]) if linear else context.framebuffer((), texture)
+class _Passes:
+    """The textures and the state of one drawing, and its passes in order."""
+
+    def __init__(self, context: "moderngl.Context", scene: Scene, look: Look, linear: bool) -> None:
+        self.context: Any = context  # its stub mistypes blend_equation
+        self.scene, self.linear = scene, linear
+        self.size = (scene.camera.width, scene.camera.height)
+        self.uniforms = uniforms_of(scene, look, linear)
+        self.defines = defines_of(scene, linear)
+        self.sphere = self._upload(sphere_mesh(scene.planet.triangles))
+        self.shell = float(1 + scene.atmosphere.height / scene.planet.radius)
+        self.position = np.asarray(scene.camera.position) / float(scene.planet.radius)
+
+    def run(self) -> Frame:
+        """All passes, and what they left."""
+        textures = self.shadow() if self.scene.sun is not None else {}
+        surface, textures["planet_atmosphere"] = self.planet()
+        self.shell_back(textures["planet_atmosphere"])
+        air, depths = self.combine(textures)
+        return Frame(_read(air), _read(depths), _read(surface))
+
+    def shadow(self) -> dict[str, Any]:
+        """Passes 1 and 2. A cone is convex: each ray meets one back and one front face at most.
+
+        A camera inside sees no front face; its shadow begins at the near plane.
+        """
+        mesh, inside = _shadow(self.scene, self.shell, self.position)
+        cone = self._upload(mesh)
+        empty = self.uniforms["empty"]
+        near = (
+            self.uniforms["clip_planes"][0] * self.uniforms["length_unit"] if self.linear else 0.0
         )
-        framebuffer.use()
-        if linear:
-            framebuffer.clear(clear, clear, clear, clear)
-        else:
-            framebuffer.clear(depth=clear)
-        return framebuffer
-
-    near_value = float(uniforms["clip_planes"][0] * uniforms["length_unit"]) if linear else 0.0
-    empty = uniforms["empty"]
-
-    # Passes 1 and 2. A cone is convex, so each ray meets one back and one front face at most; a
-    # camera inside sees no front face, and its shadow begins at the near plane.
-    shadow_textures = {}
-    if scene.sun is not None:
-        mesh, inside_shadow = _shadow(scene, shell, position)
-        cone = _geometry(mesh)
-        volume = program("volume.vert", "depth.frag", defines)
+        textures = {}
         for name, culled, clear in (
             ("shadow_back_texture", "front", empty),
-            ("shadow_front_texture", "back", near_value if inside_shadow else empty),
+            ("shadow_front_texture", "back", near if inside else empty),
         ):
-            shadow_textures[name] = depth_texture()
-            target(shadow_textures[name], clear)
-            context.cull_face = culled
-            context.enable_only(moderngl.CULL_FACE if linear else _DEPTH_AND_CULL())
-            context.enable_direct(DEPTH_CLAMP)
-            _render(context, cone, volume, uniforms)
+            textures[name] = self._depth_texture(clear)
+            self._depth_only(textures[name]).use()
+            self._state(culled, test=not self.linear)
+            self._render(cone, program("volume.vert", "depth.frag", self.defines), size=1.0)
+        return textures
 
-    # Pass 3.
-    surface = context.texture(size, 4, dtype="f4")
-    planet_atmosphere = depth_texture()
-    if linear:
-        planes, zbuffer = [surface, planet_atmosphere], context.depth_renderbuffer(size)
-    else:
-        planes, zbuffer = [surface], planet_atmosphere
-    ground = context.framebuffer(planes, zbuffer)
-    ground.use()
-    ground.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
-    if linear:
-        context.framebuffer([planet_atmosphere]).clear(empty, empty, empty, empty)
-        ground.use()
-    context.cull_face = "back"
-    context.enable_only(_DEPTH_AND_CULL())
-    context.enable_direct(DEPTH_CLAMP)
-    maps = _bind_maps(context, scene, defines)
-    _render(context, sphere, program("planet.vert", "planet.frag", defines), uniforms | maps)
+    def planet(self) -> tuple[Any, Any]:
+        """Pass 3: surface colour, and the depth texture that pass 4 goes on with."""
+        surface = self.context.texture(self.size, 4, dtype="f4")
+        depth = self._depth_texture(self.uniforms["empty"])
+        if self.linear:
+            target = self.context.framebuffer(
+                [surface, depth], self.context.depth_renderbuffer(self.size)
+            )
+            self.context.framebuffer([surface], target.depth_attachment).clear(depth=1.0)
+        else:
+            target = self.context.framebuffer([surface], depth)
+            target.clear(depth=1.0)
+        target.use()
+        self._state("back", test=True)
+        maps = _bind_maps(self.context, self.scene)
+        self._render(self.sphere, program("planet.vert", "planet.frag", self.defines), **maps)
+        return surface, depth
 
-    # Pass 4.
-    uniforms["size"] = shell
-    if linear:
-        context.framebuffer([planet_atmosphere]).use()
-        context.enable_only(moderngl.CULL_FACE | moderngl.BLEND)
-        context.blend_equation = moderngl.MIN
-        context.blend_func = moderngl.ONE, moderngl.ONE
-    else:
-        context.framebuffer((), planet_atmosphere).use()
-    context.enable_direct(DEPTH_CLAMP)
-    context.cull_face = "front"
-    _render(context, sphere, program("volume.vert", "depth.frag", defines), uniforms)
-    context.blend_equation = moderngl.FUNC_ADD
+    def shell_back(self, depth: Any) -> None:
+        """Pass 4: the nearer of the planet and the far side of the shell."""
+        import moderngl
 
-    # Pass 5.
-    air, depths = context.texture(size, 4, dtype="f4"), context.texture(size, 4, dtype="f4")
-    final = context.framebuffer([air, depths])
-    context.framebuffer([depths]).clear(empty, empty, empty, empty)
-    context.framebuffer([air]).clear(0.0, 0.0, 0.0, 0.0)
-    final.use()
-    textures = {"planet_atmosphere": planet_atmosphere} | shadow_textures
-    for unit, (name, texture) in enumerate(textures.items()):
-        if not linear:
-            texture.compare_func = ""  # depth textures compare by default; the values are wanted
-        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        texture.use(unit)
-        uniforms[name] = unit
-    if inside_air:
-        context.enable_only(moderngl.NOTHING)
-        screen = program("screen.vert", "combine.frag", defines)
-        assign_uniforms(screen, uniforms)
-        context.vertex_array(screen, []).render(vertices=3)
-    else:
-        context.enable_only(moderngl.CULL_FACE)
-        context.enable_direct(DEPTH_CLAMP)
-        context.cull_face = "back"
-        _render(context, sphere, program("volume.vert", "combine.frag", defines), uniforms)
-    return Frame(_read(air), _read(depths), _read(surface))
+        self._depth_only(depth).use()
+        self._state("front", test=not self.linear)
+        if self.linear:
+            self.context.enable(moderngl.BLEND)
+            self.context.blend_equation = moderngl.MIN
+        self._render(
+            self.sphere, program("volume.vert", "depth.frag", self.defines), size=self.shell
+        )
+        self.context.blend_equation = moderngl.FUNC_ADD
 
+    def combine(self, textures: dict[str, Any]) -> tuple[Any, Any]:
+        """Pass 5: the combine shader over the shell's front, or the screen for a camera inside."""
+        import moderngl
 
-def _DEPTH_AND_CULL() -> int:
-    import moderngl
+        air = self.context.texture(self.size, 4, dtype="f4")
+        depths = self.context.texture(self.size, 4, dtype="f4")
+        self.context.framebuffer([air]).clear()
+        self.context.framebuffer([depths]).clear(*[self.uniforms["empty"]] * 4)
+        self.context.framebuffer([air, depths]).use()
+        units = {}
+        for unit, (name, texture) in enumerate(textures.items()):
+            if not self.linear:
+                texture.compare_func = ""  # depth textures compare by default; we want the values
+            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            texture.use(unit)
+            units[name] = unit
+        self._state("back", test=False)
+        if np.linalg.norm(self.position) <= self.shell:
+            screen = program("screen.vert", "combine.frag", self.defines)
+            assign_uniforms(screen, self.uniforms | units)
+            self.context.vertex_array(screen, []).render(vertices=3)
+        else:
+            shader = program("volume.vert", "combine.frag", self.defines)
+            self._render(self.sphere, shader, size=self.shell, **units)
+        return air, depths
 
-    return moderngl.DEPTH_TEST | moderngl.CULL_FACE
+    def _depth_texture(self, clear: float) -> Any:
+        """A texture for depths, cleared: depth buffer, or float32 colour for linear depths."""
+        if self.linear:
+            texture = self.context.texture(self.size, 1, dtype="f4")
+            self._depth_only(texture).clear(clear, clear, clear, clear)
+        else:
+            texture = self.context.depth_texture(self.size)
+            self._depth_only(texture).clear(depth=clear)
+        return texture
 
+    def _depth_only(self, texture: Any) -> Any:
+        """A framebuffer without colour: one that a program leaves unwritten would be undefined."""
+        if self.linear:
+            return self.context.framebuffer([texture])
+        return self.context.framebuffer((), texture)
 
-def _uniforms(scene: Scene, look: Look, linear: bool) -> dict[str, Any]:
-    """Every number the shaders take from the scene and the look, from float64."""
-    camera, radius = scene.camera, float(scene.planet.radius)
-    near, far = float(camera.near), float(camera.far)
-    basis = np.asarray(camera.basis())
-    center = -basis @ np.asarray(camera.position) / radius
-    focal_y = 2.0 / (camera.height * float(camera.pixel_size()))
-    color = np.asarray(scene.atmosphere.color)
-    return {
-        "basis": tuple(basis.T.reshape(-1)),  # GL wants columns
-        "center": tuple(center[:2]),
-        "center_depth": center[2],
-        "clip_planes": (near / radius - center[2], far / radius - center[2]),
-        "clip_factors": (far / (far - near), near / (far - near)),
-        "focal": (focal_y * camera.height / camera.width, focal_y),
-        "length_unit": radius,
-        "empty": far - center[2] * radius if linear else 1.0,
-        "depth_constants": depth_constants(near, far),
-        "width_unit": far - near,
-        "brightness": float(look.brightness),
-        "shadow": tuple(np.broadcast_to(look.shadow, 3)),
-        "color": (*(color[:3] * np.asarray(look.tint)), color[3]),
-        "relief_scale": _relief_scale(scene, float(np.linalg.norm(center)) - 1.0),
-        "sun": (0.0, 0.0, 0.0) if scene.sun is None else tuple(np.asarray(scene.sun.direction)),
-    }
+    def _state(self, culled: str, test: bool) -> None:
+        import moderngl
 
+        self.context.enable_only(moderngl.CULL_FACE | (moderngl.DEPTH_TEST if test else 0))
+        self.context.enable_direct(DEPTH_CLAMP)
+        self.context.cull_face = culled
+        self.context.depth_func = "<="
 
-def _relief_scale(scene: Scene, height: float) -> float:
-    """Exaggeration of the relief for a camera `height` radii above the ground.
+    def _upload(self, mesh: Mesh) -> tuple[Any, Any]:
+        return (
+            self.context.buffer(mesh.vertices.astype(np.float32).tobytes()),
+            self.context.buffer(mesh.triangles.tobytes()),
+        )
 
-    The paper changes it with the camera's distance and gives no curve; here it runs from the near
-    to the far scale with the logarithm of the height.
-    """
-    (near, far), (low, high) = scene.planet.relief_distance, scene.planet.relief_scale
-    start = max(near, 1e-9)
-    share = np.log(max(height, start) / start) / np.log(far / start)
-    return float(low + (high - low) * np.clip(share, 0.0, 1.0))
-
-
-def _defines(scene: Scene, linear: bool) -> frozenset[str]:
-    wanted = {
-        "LINEAR": linear,
-        "SHADOW": scene.sun is not None,
-        "SUN": scene.sun is not None,
-        "ALBEDO": scene.planet.albedo is not None,
-        "RELIEF": scene.planet.relief is not None,
-    }
-    return frozenset(name for name, on in wanted.items() if on)
+    def _render(self, geometry: tuple[Any, Any], shader: Any, **more: Any) -> None:
+        assign_uniforms(shader, self.uniforms | more)
+        vertices, triangles = geometry
+        content = [(vertices, "3f", "position")]
+        self.context.vertex_array(shader, content, triangles).render()
 
 
 def _shadow(scene: Scene, shell: float, position: Float[np.ndarray, "3"]) -> tuple[Mesh, bool]:
@@ -256,27 +236,25 @@ def _shadow(scene: Scene, shell: float, position: Float[np.ndarray, "3"]) -> tup
     return shadow_mesh(toward, tangent, 1.0, length), inside
 
 
-def _bind_maps(
-    context: "moderngl.Context", scene: Scene, defines: frozenset[str]
-) -> dict[str, Any]:
-    """Upload relief and albedo; returns the sampler uniforms."""
+def _bind_maps(context: "moderngl.Context", scene: Scene) -> dict[str, int]:
+    """Upload relief and albedo, and bind them; returns the sampler uniforms."""
     import moderngl
 
-    bound: dict[str, Any] = {}
-    radius = float(scene.planet.radius)
+    bound = {}
     if scene.planet.relief is not None:
-        heights = load_relief(scene.planet.relief) * np.float32(
-            float(scene.planet.relief_unit) / radius
-        )
-        _check_size(context, scene.planet.relief, heights.shape[1], heights.shape[0])
-        relief = context.texture(heights.shape[::-1], 1, heights.tobytes(), dtype="f4")
+        unit = np.float32(float(scene.planet.relief_unit) / float(scene.planet.radius))
+        heights = load_relief(scene.planet.relief) * unit
+        rows, columns = heights.shape
+        _check_size(context, scene.planet.relief, columns, rows)
+        relief = context.texture((columns, rows), 1, heights.tobytes(), dtype="f4")
         relief.repeat_y = False
         relief.use(0)
         bound["relief"] = 0
     if scene.planet.albedo is not None:
         colors = load_albedo(scene.planet.albedo)
-        _check_size(context, scene.planet.albedo, colors.shape[1], colors.shape[0])
-        albedo = context.texture(colors.shape[1::-1], 3, colors.tobytes(), dtype="f2", alignment=1)
+        rows, columns, _ = colors.shape
+        _check_size(context, scene.planet.albedo, columns, rows)
+        albedo = context.texture((columns, rows), 3, colors.tobytes(), dtype="f2", alignment=1)
         albedo.build_mipmaps()
         albedo.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
         albedo.repeat_y = False
@@ -285,42 +263,12 @@ def _bind_maps(
     return bound
 
 
-def _geometry(mesh: Mesh) -> tuple[Any, Any]:
-    context = gl_context()
-    return (
-        context.buffer(mesh.vertices.astype(np.float32).tobytes()),
-        context.buffer(mesh.triangles.tobytes()),
-    )
-
-
-def _render(
-    context: "moderngl.Context", geometry: tuple[Any, Any], shader: Any, uniforms: dict[str, Any]
-) -> None:
-    assign_uniforms(shader, uniforms)
-    vertices, triangles = geometry
-    context.vertex_array(shader, [(vertices, "3f", "position")], triangles).render()
-
-
-def assign_uniforms(shader: Any, uniforms: dict[str, Any]) -> None:
-    for name in shader:
-        if type(shader[name]).__name__ == "Uniform":
-            shader[name].value = uniforms[name]
-
-
-@contextmanager
-def _resources(context: "moderngl.Context") -> Iterator[None]:
-    """Frees what was made inside, so that a thousand renders need no more memory than one."""
-    try:
-        yield
-    finally:
-        context.gc()
-
-
 def _check_size(context: "moderngl.Context", what: str, width: int, height: int) -> None:
     limit = int(context.info["GL_MAX_TEXTURE_SIZE"])
     if max(width, height) > limit:
         raise InputError(
-            f"{what}: {width}×{height} pixels exceed this driver's limit of {limit}; make it smaller"
+            f"{what}: {width}×{height} pixels exceed this driver's limit of {limit}; "
+            "make it smaller"
         )
 
 

@@ -37,7 +37,9 @@ def write_layers(
         if (depth := getattr(layers, name)) is not None
     }
     if layers.surface is not None:
-        channels |= {f"surface.{c}": np.asarray(layers.surface)[..., k] for k, c in enumerate("RGB")}
+        channels |= {
+            f"surface.{c}": np.asarray(layers.surface)[..., k] for k, c in enumerate("RGB")
+        }
     if layers.planet is not None:
         channels["planet.A"] = np.asarray(layers.planet)
     if picture is not None:
@@ -60,9 +62,7 @@ def write_picture(path: PathLike, picture: Rgba, scene: Scene | None = None) -> 
     write_channels(path, picture_channels(picture), scene_attributes(scene) if scene else {})
 
 
-def read_layers(
-    path: PathLike, near: float | None = None, far: float | None = None
-) -> Layers:
+def read_layers(path: PathLike, near: float | None = None, far: float | None = None) -> Layers:
     """Layers from an EXR file, this project's or another renderer's.
 
     Args:
@@ -81,14 +81,17 @@ def read_layers(
     if ("shadow_front.Z" in channels) != ("shadow_back.Z" in channels):
         raise InputError(f"{path}: has one of shadow_front.Z and shadow_back.Z; give both or none")
     window = near is not None or far is not None or header.get("airlight.depth") == "window"
-    near = header.get("airlight.near") if near is None else near  # type: ignore[assignment]
-    far = header.get("airlight.far") if far is None else far  # type: ignore[assignment]
+    planes = (0.0, 1.0)  # unused by eye depths
     if window:
-        _check_planes(path, channels, near, far)
+        planes = _clip_planes(path, header, near, far)
+        _check_windows(path, channels)
     textures = DepthTextures(
-        **{name: channels.get(f"{name}.Z") for name in DEPTHS},
-        near=near if window else 0.0,
-        far=far if window else 1.0,
+        front=channels["front.Z"],
+        back=channels["back.Z"],
+        shadow_front=channels.get("shadow_front.Z"),
+        shadow_back=channels.get("shadow_back.Z"),
+        near=planes[0],
+        far=planes[1],
         linear=not window,
         reference=_number(path, header, "airlight.reference", 0.0),
     )
@@ -129,13 +132,24 @@ def scene_attributes(scene: Scene) -> dict[str, str | float]:
     }
 
 
-def _check_planes(path: PathLike, channels: dict, near: object, far: object) -> None:
-    numbers = isinstance(near, int | float) and isinstance(far, int | float)
-    if not numbers or not 0 < near < far < np.inf:  # type: ignore[operator]
+def _clip_planes(
+    path: PathLike, header: dict[str, object], near: float | None, far: float | None
+) -> tuple[float, float]:
+    """The caller's clip planes, else the header's."""
+    found = [
+        header.get(f"airlight.{name}") if given is None else given
+        for name, given in (("near", near), ("far", far))
+    ]
+    numbers = [float(n) for n in found if isinstance(n, int | float)]
+    if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] < np.inf:
         raise InputError(
-            f"{path}: window depths need clip planes 0 < near < far, not near {near}, far {far}; "
-            "give --near and --far"
+            f"{path}: window depths need clip planes 0 < near < far, not near {found[0]} and "
+            f"far {found[1]}; give --near and --far"
         )
+    return numbers[0], numbers[1]
+
+
+def _check_windows(path: PathLike, channels: dict[str, np.ndarray]) -> None:
     for name in ("front.Z", "back.Z"):
         values = channels[name]
         if np.any((values < 0) | (values > 1)):

@@ -19,7 +19,7 @@ from ._files import check_file
 def load_albedo(path: str) -> Float[np.ndarray, "h w 3"]:
     """Linear reflectance in [0, 1] of an 8-bit sRGB picture, float16 (11 bits suffice for 8)."""
     stored = _picture(path, "RGB")
-    table = Srgb().decode(np.arange(256) / 255.0).astype(np.float16)
+    table = np.asarray(Srgb().decode(np.arange(256) / 255.0), dtype=np.float16)
     return table[stored]
 
 
@@ -34,10 +34,13 @@ def load_relief(path: str) -> Float[np.ndarray, "h w"]:
         try:
             heights = np.load(check_file(path), allow_pickle=False)
         except (ValueError, OSError, EOFError) as error:
-            raise InputError(f"{path}: not a readable .npy array ({error}); save it again") from None
+            raise InputError(
+                f"{path}: not a readable .npy array ({error}); save it again"
+            ) from None
         if heights.ndim != 2 or heights.dtype.kind not in "fiu":
             raise InputError(
-                f"{path}: has shape {heights.shape} of {heights.dtype}; a height map is [h, w] numbers"
+                f"{path}: has shape {heights.shape} of {heights.dtype}; "
+                "a height map is numbers [h, w]"
             )
     else:
         heights = _picture(path, "I;16") / 65535.0

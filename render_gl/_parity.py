@@ -3,13 +3,13 @@
 Both read the very same float32 depths, so only arithmetic differs. With ε = 2⁻²³ (one ulp,
 relative) and e = the driver's worst error of a division in ulp:
 
-    depth     each linearised depth may differ by e ulp. Equal inputs give equal outputs, so a depth
-              that cancels exactly, as clamped shadow depths do, contributes nothing. What remains in
-              rgb is brightness·color/unit · (e ulp(back) + e ulp(front)), and where there is shadow
-              |1 - shadow| · (e ulp(shadow back) + e ulp(shadow front)).
-    rounding  division by the unit (GLSL 4.60 §4.7.1: 2.5 ulp; JAX ½), and ½ ulp on either side for
-              each of the two sums, the products by shadow, tint, colour and brightness and the two
-              differences of depths: 3 + 8·1 = 11 ulp of rgb's own size.
+    depth     each linearised depth may differ by e ulp. Equal inputs give equal outputs, so a
+              depth that cancels exactly, as clamped shadow depths do, contributes nothing. In rgb
+              remains brightness·color/unit · (e ulp(back) + e ulp(front)), and where there is
+              shadow, |1 - shadow| · (e ulp(shadow back) + e ulp(shadow front)).
+    rounding  division by the unit (GLSL 4.60 §4.7.1: 2.5 ulp; JAX ½), and ½ ulp on either side
+              for each of the two sums, the products by shadow, tint, colour and brightness and
+              the two differences of depths: 3 + 8·1 = 11 ulp of rgb's own size.
 
 The specification allows e = 2.5 against JAX's ½, together 3. Drivers differ (llvmpipe has divided
 by approximate reciprocals on some processors), so e is measured on the driver at hand: 65,536
@@ -108,7 +108,9 @@ def compare(
             high = np.clip(np.asarray(layers.shadow_back), front, back)
             edge = np.where(high != low, np.spacing(np.abs(low)) + np.spacing(np.abs(high)), 0.0)
             spread = spread + np.abs(1 - shadow) * edge[..., None]
-        bound = bound + division_ulp * weight * np.where(front != back, 1.0, 0.0)[..., None] * spread
+        bound = (
+            bound + division_ulp * weight * np.where(front != back, 1.0, 0.0)[..., None] * spread
+        )
     tiny = np.finfo(np.float32).tiny  # drivers may flush denormals to zero
     alpha = np.full((*bound.shape[:2], 1), EPS)
     return Parity(

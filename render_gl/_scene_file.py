@@ -192,9 +192,9 @@ def _check_table(name: str, table: dict[str, Any]) -> None:
             if kinds[0] == "!":
                 raise InputError(f"{name}.{key} is missing; add it")
             continue
-        kinds = tuple(kind for kind in kinds if kind != "!")
-        if not any(_is(table[key], kind) for kind in kinds):
-            raise InputError(f"{name}.{key}: {table[key]!r} must be {' or '.join(kinds)}")
+        allowed = [kind for kind in kinds if kind != "!"]
+        if not any(_is(table[key], kind) for kind in allowed):
+            raise InputError(f"{name}.{key}: {table[key]!r} must be {' or '.join(allowed)}")
 
 
 def _is(value: Any, kind: str) -> bool:
@@ -216,11 +216,13 @@ def _is(value: Any, kind: str) -> bool:
 
 def scene_record(scene: Scene) -> dict[str, Any]:
     """The scene as plain JSON data, with the keys of a scene file; absent tables are left out."""
-    return {name: _plain(value) for name, value in _fields(scene).items() if value not in (None, ())}
+    return {
+        name: _plain(value) for name, value in _fields(scene).items() if value not in (None, ())
+    }
 
 
 def scene_hash(scene: Scene) -> str:
-    """SHA-256 over `scene_record`: the same numbers give the same hash, whatever file they're in."""
+    """SHA-256 over `scene_record`: the same numbers give the same hash, whatever their file."""
     text = json.dumps(scene_record(scene), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

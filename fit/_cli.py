@@ -1,0 +1,270 @@
+"""The command line: `airlight render | fit | check | version`.
+
+Exit codes: 0 done (and, with a warning, a fit at a bound); 1 the check failed or the fit has
+another verdict; 2 bad input, in one line on standard error with a remedy.
+"""
+
+import json
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import typer
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+import render_gl
+from model_jax import AirlightError, InputError, Layers, Look, Scene, Srgb, composite
+
+from ._job import Job, make_layers, run_job, versions
+from ._terminal import print_check, print_fit
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Render a planet's atmosphere as depth layers, and fit its look to photos.",
+)
+
+
+class SourceOption(StrEnum):
+    """Where layers come from."""
+
+    raster = "raster"
+    analytic = "analytic"
+
+
+class DepthOption(StrEnum):
+    """Depth format of rasterised layers."""
+
+    window24 = "window24"
+    linear = "linear"
+
+
+SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+Source = Annotated[
+    SourceOption, typer.Option(help="Layers by OpenGL passes, or by exact intersection.")
+]
+Depth = Annotated[DepthOption, typer.Option(help="Depth format of the passes.")]
+
+
+def main() -> None:
+    """Entry point of the console script: errors in one line, no traceback for a user's mistake."""
+    jax.config.update("jax_enable_x64", True)
+    try:
+        app()
+    except AirlightError as error:
+        line = " ".join(str(error).split())
+        print(f"airlight: {line}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        print("airlight: stopped", file=sys.stderr)
+        raise SystemExit(130) from None
+
+
+@app.command()
+def render(
+    scene: SceneArgument,
+    out: Annotated[
+        str, typer.Option("-o", "--out", help="OUT.exr: layers and picture; OUT.png: picture only.")
+    ],
+    source: Source = SourceOption.raster,
+    depth: Depth = DepthOption.window24,
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Another size; vertical field of view stays.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Draw a scene's layers and combined picture."""
+    suffix = Path(out).suffix.lower()
+    if suffix not in (".exr", ".png"):
+        raise InputError(f"{out}: is neither .exr (layers and picture) nor .png (picture)")
+    file = render_gl.load_scene(scene)
+    drawn = file.scene if size is None else _resized(file.scene, size)
+    with _steps() as step:
+        step("drawing")
+        layers = make_layers(drawn, source.value, depth.value)
+        picture = _picture(drawn, layers, file.look, source, depth)
+        step("writing")
+        if suffix == ".exr":
+            render_gl.write_layers(out, layers, drawn, picture)
+        else:
+            _write_png(out, picture)
+    camera = drawn.camera
+    _say(
+        as_json,
+        {"out": out, "width": camera.width, "height": camera.height, "source": source.value},
+        f"{out}: {camera.width}×{camera.height}, {source.value}"
+        + (f", {depth.value}" if source is SourceOption.raster else ""),
+    )
+
+
+@app.command()
+def fit(
+    paths: Annotated[
+        list[str],
+        typer.Argument(metavar="[SCENE] PHOTO", help="Scene file and photo; PHOTO with --layers."),
+    ],
+    out: Annotated[str, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.")],
+    layers: Annotated[
+        str | None, typer.Option(metavar="LAYERS.exr", help="Layers of another renderer.")
+    ] = None,
+    near: Annotated[
+        float | None, typer.Option(help="With --layers: near plane of window depths.")
+    ] = None,
+    far: Annotated[
+        float | None, typer.Option(help="With --layers: far plane of window depths.")
+    ] = None,
+    source: Source = SourceOption.raster,
+    depth: Depth = DepthOption.linear,
+    tone_curve: Annotated[
+        str | None, typer.Option(help="linear, srgb or EXPOSURE,GAMMA of 1-exp(-EXPOSURE x).")
+    ] = None,
+    mask: Annotated[
+        str | None, typer.Option(help="Picture of the photo's size; white = use the pixel.")
+    ] = None,
+    free: Annotated[
+        str | None, typer.Option(help="Comma-separated parameters to fit, instead of all.")
+    ] = None,
+    solver: Annotated[str, typer.Option(help="Solver by name.")] = "lm",
+    as_json: JsonOption = False,
+) -> None:
+    """Fit brightness, shadow weight, tint and background to a photo."""
+    if len(paths) != (1 if layers is not None else 2):
+        raise InputError(
+            f"fit: got {len(paths)} paths; give SCENE PHOTO, or --layers LAYERS.exr PHOTO"
+        )
+    if layers is None and (near is not None or far is not None):
+        raise InputError("fit: --near and --far go with --layers; a scene has its own clip planes")
+    job = Job(
+        photo=paths[-1],
+        scene=paths[0] if layers is None else None,
+        layers=layers,
+        near=near,
+        far=far,
+        source=source.value,
+        depth_format=depth.value,
+        tone_curve=_tone_curve(tone_curve),
+        mask=mask,
+        free=None if free is None else tuple(name.strip() for name in free.split(",")),
+        solver=solver,
+        command=shlex.join(["airlight", *sys.argv[1:]]),
+    )
+    with _steps() as step:
+        result, document = run_job(job, out, step)
+    if as_json:
+        print(json.dumps(document, allow_nan=False))
+    else:
+        print_fit(Console(), document, out)
+    if result.verdict == "at_bound":
+        print("airlight: warning: the best fit lies at a bound", file=sys.stderr)
+    elif result.verdict != "converged":
+        raise SystemExit(1)
+
+
+@app.command()
+def check(
+    scene: SceneArgument,
+    out: Annotated[
+        str | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for the three EXRs.")
+    ] = None,
+    depth: Depth = DepthOption.window24,
+    as_json: JsonOption = False,
+) -> None:
+    """Hold the OpenGL picture against JAX on the same layers, and the layers against exact ones."""
+    file = render_gl.load_scene(scene)
+    folder = Path(out) if out is not None else Path(f"{file.path.stem}-check")
+    with _steps() as step:
+        step("drawing and comparing")
+        found = render_gl.check_scene(file.scene, file.look, depth.value)
+        step("writing")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be made ({error.strerror}); use -o") from None
+        for name, picture in (
+            ("glsl", found.parity.glsl),
+            ("jax", found.parity.jax),
+            ("difference", found.parity.difference),
+        ):
+            render_gl.write_picture(folder / f"{name}.exr", picture, file.scene)
+    if as_json:
+        print(json.dumps(found.summary() | {"out": str(folder)}))
+    else:
+        print_check(Console(), found.summary(), scene, depth.value, str(folder))
+    if not found.passed:
+        raise SystemExit(1)
+
+
+@app.command()
+def version(as_json: JsonOption = False) -> None:
+    """Versions, OpenGL renderer and JAX devices."""
+    try:
+        renderer = render_gl.renderer_name()
+    except AirlightError as error:
+        renderer = f"none ({error})"
+    facts: dict[str, Any] = versions() | {
+        "OpenGL": renderer,
+        "JAX devices": [str(device) for device in jax.devices()],
+    }
+    lines = [f"{name:12} {value}" for name, value in facts.items() if isinstance(value, str)]
+    _say(
+        as_json, facts, "\n".join([*lines, f"{'JAX devices':12} {', '.join(facts['JAX devices'])}"])
+    )
+
+
+def _picture(
+    scene: Scene, layers: Layers, look: Look, source: SourceOption, depth: DepthOption
+) -> Any:
+    """The picture by the source's own combine: the shader's for raster, JAX's for analytic."""
+    if source is SourceOption.raster:
+        return render_gl.render_image(scene, look, depth.value)
+    return composite(layers, look)
+
+
+def _resized(scene: Scene, size: str) -> Scene:
+    width, cross, height = size.lower().partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        raise InputError(f"--size {size}: must be WIDTHxHEIGHT in pixels, such as 640x480")
+    camera = scene.camera.resized(int(width), int(height))
+    return Scene(camera, scene.planet, scene.atmosphere, scene.sun, scene.occluders)
+
+
+def _write_png(out: str, picture: Any) -> None:
+    import numpy as np
+    from PIL import Image
+
+    stored = np.clip(Srgb().encode(np.asarray(picture, np.float64)[..., :3]), 0.0, 1.0)
+    image = Image.fromarray(np.round(stored * 255).astype(np.uint8))
+    render_gl.write_whole(out, lambda path: image.save(path, format="PNG"))
+
+
+def _tone_curve(text: str | None) -> Any:
+    """The option's text in the form that scene files use."""
+    if text is None or "," not in text:
+        return text
+    try:
+        exposure, gamma = (float(number) for number in text.split(","))
+    except ValueError:
+        raise InputError(f"--tone-curve {text}: must be linear, srgb or EXPOSURE,GAMMA") from None
+    return {"exposure": exposure, "gamma": gamma}
+
+
+@contextmanager
+def _steps() -> Iterator[Any]:
+    """A progress line on standard error that names the step; gone when done."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("starting", total=None)
+        yield lambda text: progress.update(task, description=text)
+
+
+def _say(as_json: bool, facts: dict[str, Any], text: str) -> None:
+    print(json.dumps(facts) if as_json else text)

@@ -1,0 +1,61 @@
+"""What the shaders are told: numbers from scene and look, computed in float64, and switches."""
+
+from typing import Any
+
+import numpy as np
+
+from model_jax import Look, Scene, depth_constants
+
+
+def uniforms_of(scene: Scene, look: Look, linear: bool) -> dict[str, Any]:
+    """Every number the shaders take, by uniform name; lengths in planet radii but for layers."""
+    camera, radius = scene.camera, float(scene.planet.radius)
+    near, far = float(camera.near), float(camera.far)
+    basis = np.asarray(camera.basis())
+    center = -basis @ np.asarray(camera.position) / radius
+    focal_y = 2.0 / (camera.height * float(camera.pixel_size()))
+    color = np.asarray(scene.atmosphere.color)
+    return {
+        "basis": tuple(basis.T.reshape(-1)),  # GL wants columns
+        "center": tuple(center[:2]),
+        "center_depth": center[2],
+        "clip_planes": (near / radius - center[2], far / radius - center[2]),
+        "clip_factors": (far / (far - near), near / (far - near)),
+        "focal": (focal_y * camera.height / camera.width, focal_y),
+        "length_unit": radius,
+        # The clear value of the depth textures: the far plane, where nothing is drawn.
+        "empty": far - center[2] * radius if linear else 1.0,
+        "depth_constants": depth_constants(near, far),
+        "width_unit": far - near,
+        "brightness": float(look.brightness),
+        "shadow": tuple(np.broadcast_to(look.shadow, 3)),
+        "color": (*(color[:3] * np.asarray(look.tint)), color[3]),
+        "relief_scale": relief_scale(scene),
+        "sun": (0.0, 0.0, 0.0) if scene.sun is None else tuple(np.asarray(scene.sun.direction)),
+    }
+
+
+def defines_of(scene: Scene, linear: bool) -> frozenset[str]:
+    """The shader switches of a scene: what it does not have is not compiled."""
+    wanted = {
+        "LINEAR": linear,
+        "SHADOW": scene.sun is not None,
+        "SUN": scene.sun is not None,
+        "ALBEDO": scene.planet.albedo is not None,
+        "RELIEF": scene.planet.relief is not None,
+    }
+    return frozenset(name for name, on in wanted.items() if on)
+
+
+def relief_scale(scene: Scene) -> float:
+    """Exaggeration of the relief for the scene's camera.
+
+    The paper changes it with the camera's distance and gives no curve; here it runs from the near
+    to the far scale with the logarithm of the camera's height.
+    """
+    planet = scene.planet
+    (near, far), (low, high) = planet.relief_distance, planet.relief_scale
+    height = float(np.linalg.norm(np.asarray(scene.camera.position)) / planet.radius) - 1.0
+    start = max(near, 1e-9)
+    share = np.log(max(height, start) / start) / np.log(far / start)
+    return float(low + (high - low) * np.clip(share, 0.0, 1.0))

@@ -1,0 +1,97 @@
+"""The scenes that several tests share, by name: where the camera can stand and the sun can be."""
+
+import itertools
+
+import numpy as np
+
+from model_jax import Atmosphere, Camera, Planet, Scene, Sun
+
+RADIUS = 6371.0
+"""Most scenes are of Earth's size in kilometres, so that a forgotten unit shows."""
+
+
+def scene_of(
+    position: tuple[float, float, float],
+    target: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    sun: tuple[float, float, float] | None = (0.3, 0.5, 0.2),
+    *,
+    fov: float = 40.0,
+    size: tuple[int, int] = (48, 36),
+    shell: float = 0.1,
+    angular_radius: float = 0.2666,
+    near: float = 1e-3,
+    far: float | None = None,
+    radius: float = RADIUS,
+) -> Scene:
+    """A scene with positions and lengths in planet radii; `size` is width × height."""
+    place, aim = np.array(position), np.array(target)
+    forward = aim - place
+    up = (0.0, 0.0, 1.0) if abs(forward[2]) < 0.9 * np.linalg.norm(forward) else (0.0, 1.0, 0.0)
+    far = np.linalg.norm(place) + 3.0 if far is None else far
+    return Scene(
+        Camera(place * radius, forward, up, fov, *size, near * radius, far * radius),
+        Planet(radius),
+        Atmosphere(shell * radius, (0.5, 0.7, 1.0)),
+        None if sun is None else Sun(sun, angular_radius),
+    )
+
+
+OCTANTS = {
+    f"sun {x:+d}{y:+d}{z:+d}": scene_of((-0.4, -2.6, 0.7), sun=(0.9 * x, 0.7 * y, 0.5 * z))
+    for x, y, z in itertools.product((-1, 1), repeat=3)
+}
+PLACES = {
+    "near": scene_of((1.05, 0.4, 0.5), (0.0, 1.5, 0.6), fov=70.0, sun=(-0.6, 0.4, 0.1)),
+    "far, 232 radii": scene_of((140.0, -185.0, 15.0), fov=0.62, sun=(0.2, 1.0, 0.4)),
+    "far, off axis": scene_of((232.0, 0.0, 0.0), (0.0, 0.9, 0.7), fov=0.5, sun=(-0.1, 0.8, 0.3)),
+    "in the shell": scene_of((0.0, -1.05, 0.02), (0.8, 0.4, 0.5), fov=75.0, sun=(0.8, 0.2, -0.3)),
+    "in shell, by the ground": scene_of((0.0, 0.0, 1.001), (1.0, 0.3, 1.1), fov=60.0, shell=0.02),
+    "in the shadow": scene_of((0.3, -2.0, 0.2), sun=(0.0, 1.0, 0.1), fov=75.0),
+    "in shadow and shell": scene_of((0.0, -1.1, 0.0), (1.0, 0.1, 0.3), sun=(0, 1, 0), shell=0.3),
+    "planet behind": scene_of((0.0, -3.0, 0.0), (0.0, -6.0, 1.0)),
+    "planet off screen": scene_of((0.0, -4.0, 0.0), (4.0, 0.0, 0.0), fov=30.0),
+    "wide field": scene_of((0.0, -1.6, 0.4), (0.2, 0.0, 0.1), fov=150.0, sun=(0.9, 0.2, -0.2)),
+    "odd sizes": scene_of((0.0, -3.0, 1.0), size=(37, 53)),
+    "one pixel": scene_of((0.0, -3.0, 0.0), (0.0, 0.0, 1.04), size=(1, 1), sun=(0.2, 0.9, 0.1)),
+    "cut by near plane": scene_of((0.0, -2.0, 0.3), near=0.95),
+    "cut by far plane": scene_of((0.0, -2.0, 0.3), far=1.9),
+    "no sun": scene_of((0.0, -3.0, 0.3), sun=None),
+}
+SHAPES = {
+    "thin shell": scene_of((0.5, -2.5, 0.4), shell=0.002, fov=50.0),
+    "thick shell": scene_of((0.5, -4.5, 0.4), shell=1.5, fov=60.0, sun=(0.7, 0.6, -0.2)),
+    "apex in the shell": scene_of((2.0, -2.5, 0.5), shell=0.5, angular_radius=45.0, fov=50.0),
+    "apex in planet": scene_of((1.0, -2.5, 0.5), shell=0.5, angular_radius=75.0, fov=50.0),
+    "cylinder": scene_of((0.5, -2.5, 0.4), angular_radius=0.0, shell=0.2, fov=50.0),
+}
+AXES = {
+    "sun behind camera": scene_of((0.0, -3.0, 0.0), sun=(0.0, -1.0, 0.0), fov=45.0),
+    "sun behind planet": scene_of((0.0, -3.0, 0.0), sun=(0.0, 1.0, 0.0), fov=45.0),
+    "along cylinder": scene_of(
+        (0.0, -3.0, 0.0), sun=(0.0, 1.0, 0.0), size=(33, 33), angular_radius=0.0, fov=45.0
+    ),
+    "against cylinder": scene_of(
+        (0.0, -3.0, 0.0), sun=(0.0, -1.0, 0.0), size=(33, 33), angular_radius=0.0, fov=45.0
+    ),
+    # tan 10° is the slope of the cone and of some rays: the quadratic's leading term vanishes.
+    "along the cone": scene_of(
+        (0.0, -3.0, 0.0), sun=(0.0, 1.0, 0.0), size=(33, 33), angular_radius=10.0, fov=40.0
+    ),
+}
+# 4-3-5: one radius off axis at the distance where pixel (·, 0) of a 2-pixel-wide picture is tangent.
+TANGENT = {
+    "tangent to planet": scene_of(
+        (2.0, -5.0, 0.0), (2.0, 0.0, 0.0), size=(5, 5), fov=90.0, sun=(0.4, 0.6, 0.1), radius=1.0
+    ),
+    "tangent to planet, level": scene_of(
+        (1.0, -5.0, 0.0), (1.0, 0.0, 0.0), size=(5, 5), fov=40.0, sun=(0.4, 0.6, 0.1), radius=1.0
+    ),
+    "tangent to shell": scene_of(
+        (1.25, -5.0, 0.0), (1.25, 0.0, 0.0), size=(5, 5), fov=40.0, shell=0.25, radius=1.0
+    ),
+    "grazing the cylinder": scene_of(
+        (1.0, -5.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0),
+        size=(5, 5), fov=40.0, shell=0.25, radius=1.0, angular_radius=0.0,
+    ),
+}  # fmt: skip
+SCENES = OCTANTS | PLACES | SHAPES | AXES | TANGENT

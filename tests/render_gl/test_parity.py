@@ -1,0 +1,188 @@
+"""GLSL and JAX agree on the same depths, within the bound that `_parity` derives; and the check
+that says so fails on planted faults."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import render_gl
+from model_jax import Atmosphere, Camera, Look, Planet, Scene, Sun, combine
+from render_gl import _shaders
+from render_gl._draw import draw
+from render_gl._parity import Parity, compare, measure_division
+from render_gl._render import frame_layers
+
+OCTANTS = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+
+
+def scene(
+    distance: float = 2.3,
+    thickness: float = 0.05,
+    sun: tuple[float, ...] | None = (1.0, -0.4, 0.3),
+    size: tuple[int, int] = (320, 240),
+    sun_radius: float = 0.2666,
+) -> Scene:
+    """A camera `distance` planet radii away that sees the whole shell; lengths in km."""
+    radius = 6371.0
+    shell = 1 + thickness
+    away = np.array([0.2, -0.9, 0.3])
+    position = distance * radius * away / np.linalg.norm(away)
+    half = np.arcsin(min(shell / distance, 0.95))
+    near = max(distance - 1.01 * shell, 0.01) * radius
+    return Scene(
+        Camera(
+            position,
+            -position,
+            [0, 0, 1],
+            np.rad2deg(2.3 * half),
+            *size,
+            near,
+            (distance + 1.01 * shell) * radius,
+        ),
+        Planet(radius, triangles=20_000),
+        Atmosphere(thickness * radius, [0.3, 0.6, 1.0, 0.9]),
+        None if sun is None else Sun(sun, sun_radius),
+    )
+
+
+SCENES = {f"sun {octant}": scene(sun=octant) for octant in OCTANTS} | {
+    "near camera": scene(distance=1.15),
+    "far camera": scene(distance=232.0),
+    "odd size": scene(size=(641, 479)),
+    "tall odd size": scene(size=(123, 457)),
+    "thin shell": scene(thickness=0.002),
+    "thick shell": scene(thickness=1.5, distance=4.0),
+    "sun behind planet": scene(sun=(-0.2, 0.9, -0.3)),
+    "sun behind camera": scene(sun=(0.2, -0.9, 0.3)),
+    "cylinder": scene(sun_radius=0.0),
+    "apex in the shell": scene(thickness=1.5, distance=4.0, sun_radius=35.0),
+    "no sun": scene(sun=None),
+}
+
+
+def checked(case: Scene, look: Look, depth_format: str) -> Parity:
+    frame = draw(case, look, depth_format)
+    division = 0.0 if depth_format == "linear" else measure_division(case)
+    return compare(case, look, frame, depth_format, division)
+
+
+@pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
+@pytest.mark.parametrize("case", SCENES.values(), ids=SCENES.keys())
+def test_glsl_and_jax_agree(case: Scene, depth_format: str, tmp_path) -> None:
+    parity = checked(case, Look(), depth_format)
+    if not parity.passed:
+        for name in ("glsl", "jax", "difference"):
+            render_gl.write_picture(tmp_path / f"{name}.exr", getattr(parity, name))
+    assert parity.passed, (parity.summary(), tmp_path)
+    assert np.max(parity.glsl) > 0  # comparing black with black would be no test
+
+
+@pytest.mark.parametrize("case", SCENES.values(), ids=SCENES.keys())
+def test_bound_is_tight_enough_on_linear_layers(case: Scene) -> None:
+    summary = checked(case, Look(), "linear").summary()
+    assert summary["bound_relative"] <= 1e-5
+
+
+def test_paper_scene_agrees_to_1e5_of_its_maximum() -> None:
+    file = render_gl.load_scene("examples/paper.toml")
+    parity = checked(file.scene, file.look, "window24")
+    layers = frame_layers(file.scene, draw(file.scene, file.look, "window24"), "window24")
+    z_max = float(np.max(np.where(layers.has_air, layers.back, 0)))
+    width_max = float(np.max(layers.back - layers.front))
+    assert z_max / width_max <= 30  # what the bound of 1e-5 is stated for
+    assert parity.passed
+    assert parity.summary()["bound_relative"] <= 1e-5
+    # The driver's worst allowed division would keep this scene below the bound, too.
+    worst = compare(file.scene, file.look, draw(file.scene, file.look, "window24"), "window24", 3.0)
+    assert worst.summary()["bound_relative"] <= 1e-5
+
+
+def test_looks_with_channels_agree() -> None:
+    look = Look(brightness=7.0, shadow=[0.0, 0.5, 1.5], tint=[1.5, 0.9, 0.6])
+    assert checked(SCENES["odd size"], look, "linear").passed
+
+
+# --- the check itself is checked ---------------------------------------------------------------
+
+FAULTY = SCENES["sun (1, -1, 1)"]
+CROSSED = scene(thickness=0.5, distance=3.0, sun=(-0.2, 0.9, -0.3))
+"""Rays enter the shadow, and some leave it, before they reach the air."""
+
+
+def with_frame(change, depth_format: str = "window24") -> Parity:
+    """The comparison after `change` has been done to the depths that JAX gets."""
+    frame = draw(FAULTY, Look(), depth_format)
+    depths = change(frame.depths.copy())
+    broken = type(frame)(frame.air, depths, frame.surface)
+    return compare(FAULTY, Look(), broken, depth_format, measure_division(FAULTY))
+
+
+def test_fault_shadow_weight_off_by_a_thousandth_is_found() -> None:
+    frame = draw(FAULTY, Look(), "window24")
+    parity = compare(FAULTY, Look(shadow=0.201), frame, "window24", measure_division(FAULTY))
+    assert not parity.passed
+
+
+@pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
+def test_fault_shadow_front_and_back_swapped_is_found(depth_format: str) -> None:
+    assert with_frame(lambda d: d, depth_format).passed
+    assert not with_frame(lambda d: d[..., [0, 1, 3, 2]], depth_format).passed
+
+
+def test_fault_half_pixel_shift_is_found() -> None:
+    assert not with_frame(lambda d: (d + np.roll(d, 1, axis=1)) / 2).passed
+
+
+def test_fault_near_and_far_swapped_is_found() -> None:
+    frame = draw(FAULTY, Look(), "window24")
+    camera = FAULTY.camera
+    swapped = eqx.tree_at(
+        lambda s: (s.camera.near, s.camera.far), FAULTY, (camera.far, camera.near)
+    )
+    assert not compare(swapped, Look(), frame, "window24", 0.0).passed
+
+
+@pytest.mark.parametrize(
+    ("clamp", "without", "case"),
+    [
+        (
+            "min(max(depths.w, depths.x), depths.y)",
+            "min(depths.w, depths.y)",
+            CROSSED,
+        ),
+        ("min(max(depths.w, depths.x), depths.y)", "max(depths.w, depths.x)", FAULTY),
+        ("min(max(depths.z, depths.x), depths.y)", "min(depths.z, depths.y)", CROSSED),
+        ("min(max(depths.z, depths.x), depths.y)", "max(depths.z, depths.x)", FAULTY),
+    ],
+    ids=["back against front", "back against back", "front against front", "front against back"],
+)
+def test_fault_missing_clamp_in_the_shader_is_found(clamp, without, case, monkeypatch) -> None:
+    original = _shaders._read
+
+    def faulty(name: str) -> str:
+        text = original(name)
+        if name == "combine.glsl":
+            assert clamp in text
+            text = text.replace(clamp, without)
+        return text
+
+    monkeypatch.setattr(_shaders, "_read", faulty)
+    assert not checked(case, Look(), "window24").passed
+
+
+def test_fault_not_a_number_is_found() -> None:
+    def spoil(depths):
+        depths[120, 160, 0] = np.nan
+        return depths
+
+    assert not with_frame(spoil).passed
+
+
+def test_jax_reads_what_the_shader_read() -> None:
+    """The front depth is gl_FragCoord.z in float32, not rounded to the texture's 24 bits."""
+    frame = draw(FAULTY, Look(), "window24")
+    front = frame.depths[..., 0][frame.depths[..., 0] != frame.depths[..., 1]].astype(np.float64)
+    steps = front * (2**24 - 1)
+    assert np.mean(np.abs(steps - np.round(steps)) > 0.01) > 0.1
+    picture = np.asarray(combine(frame_layers(FAULTY, frame, "window24"), Look()))
+    assert picture.shape == frame.air.shape

@@ -1,0 +1,76 @@
+"""The shader loader is strict, and every shader function has a JAX twin or a written exemption."""
+
+import re
+from importlib import resources
+
+import pytest
+
+import model_jax
+from render_gl._shaders import DEFINES, shader_source
+
+FILES = sorted(
+    file.name
+    for file in (resources.files("render_gl") / "glsl").iterdir()
+    if file.name.endswith((".glsl", ".vert", ".frag"))
+)
+
+EXEMPT = {
+    "main": "entry point",
+    "eye_depth": "chooses between the depth formats; DepthTextures.linearize does that in JAX",
+    "eye_position": "vertex stage; checked against exact intersection",
+    "clip_position": "vertex stage; checked against exact intersection",
+    "map_position": "texture look-up of the surface, which JAX takes as a layer",
+    "ground_radius": "relief, which JAX takes as a layer",
+    "surface_albedo": "texture look-up of the surface",
+    "surface_normal": "shading of the surface",
+}
+
+
+def functions(text: str) -> set[str]:
+    return set(re.findall(r"^(?:float|vec[234]|mat[34]|void|int|bool) (\w+)\(", text, re.MULTILINE))
+
+
+def glsl(name: str) -> str:
+    return (resources.files("render_gl") / "glsl" / name).read_text()
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_function_has_a_twin_or_an_exemption(name: str) -> None:
+    for function in functions(glsl(name)):
+        twin = getattr(model_jax, function, None)
+        if twin is None:
+            assert function in EXEMPT, f"{name}: {function} has neither a JAX twin nor an exemption"
+        else:
+            assert f"`{function}` in `{name}`" in twin.__doc__
+
+
+def test_exemptions_name_existing_functions() -> None:
+    assert set(EXEMPT) <= set().union(*(functions(glsl(name)) for name in FILES))
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_shaders_hold_no_copy_of_the_look(name: str) -> None:
+    code = re.sub(r"//.*", "", glsl(name))
+    assert not re.search(r"\b3\.0\b(?! :)|\b0\.2\b", code.replace("? 3.0 : -1.0", ""))
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_shaders_open_with_what_they_provide(name: str) -> None:
+    lines = glsl(name).splitlines()
+    assert lines[1 if lines[0].startswith("#version") else 0].startswith("// ")
+
+
+def test_unknown_define_is_refused() -> None:
+    with pytest.raises(ValueError, match="unknown define"):
+        shader_source("combine.frag", frozenset({"SHADOWS"}))
+
+
+def test_missing_file_is_refused() -> None:
+    with pytest.raises(ValueError, match="no such shader"):
+        shader_source("missing.frag")
+
+
+def test_defines_follow_the_version_line() -> None:
+    text = shader_source("combine.frag", DEFINES)
+    assert text.splitlines()[:3] == ["#version 330", "#define LINEAR", "#define SHADOW"]
+    assert "#include" not in text
