@@ -99,7 +99,7 @@ def to_vector(look: Look) -> LookVector:
 def to_look(vector: LookVector, like: Look) -> Look:
     """The look of a vector, with one number or three as in `like`."""
 
-    def part(values: np.ndarray, old: Any) -> np.ndarray:
+    def part(values: np.ndarray, old: Any) -> Any:
         return values.copy() if np.shape(old) else values[0]
 
     return Look(

@@ -13,7 +13,7 @@ def print_fit(console: Console, document: dict[str, Any], out: str) -> None:
     console.print(document["verdict"], style=f"bold {style}", end="  ")
     console.print(document["message"], markup=False, highlight=False)
     table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("parameter", "value", "± stderr", "± rounding", "start", "unit"):
+    for name in ("parameter", "value", "± stderr", "rounding ≤", "start", "unit"):
         table.add_column(name, justify="left" if name in ("parameter", "unit") else "right")
     for name, row in document["parameters"].items():
         stderr = _number(row["stderr"]) if row["stderr"] is not None else "held"

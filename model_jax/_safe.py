@@ -35,7 +35,9 @@ def safe_power(x: AnyArray, exponent: Scalar) -> AnyArray:
     return xp.where(positive, xp.power(xp.where(positive, x, 1), exponent), 0)
 
 
-def safe_divide(numerator: AnyArray, denominator: AnyArray, otherwise: float | AnyArray) -> AnyArray:
+def safe_divide(
+    numerator: AnyArray, denominator: AnyArray, otherwise: float | AnyArray
+) -> AnyArray:
     """`numerator / denominator`, and `otherwise` (derivative 0) where the denominator is zero or
     where the quotient would leave the dtype's range.
 

@@ -90,9 +90,7 @@ class Camera(eqx.Module):
         fov = self.fov_y_deg
         _require("camera.fov_y_deg", fov, (fov > 0) & (fov < 180), "between 0 and 180")
         _require("camera.near", self.near, self.near > 0, "above 0")
-        _require(
-            "camera.far", self.far, self.far > self.near, f"above camera.near ({self.near})"
-        )
+        _require("camera.far", self.far, self.far > self.near, f"above camera.near ({self.near})")
         if not _traced(self.forward) and not _traced(self.up):
             sine = np.linalg.norm(np.cross(self.forward, self.up))
             if sine < 1e-6:
@@ -170,9 +168,7 @@ class Atmosphere(eqx.Module):
         if not _traced(self.color) and not (
             np.all(np.isfinite(self.color)) and np.all(np.asarray(self.color) >= 0)
         ):
-            raise InputError(
-                f"atmosphere.color: {_show(self.color)} must be finite and at least 0"
-            )
+            raise InputError(f"atmosphere.color: {_show(self.color)} must be finite and at least 0")
 
 
 class Sun(eqx.Module):
@@ -180,9 +176,7 @@ class Sun(eqx.Module):
 
     direction: Vector = eqx.field(converter=_unit)
     """Unit vector from the planet toward the sun."""
-    angular_radius_deg: Scalar = eqx.field(
-        converter=_number, default=EARTH_SUN_ANGULAR_RADIUS_DEG
-    )
+    angular_radius_deg: Scalar = eqx.field(converter=_number, default=EARTH_SUN_ANGULAR_RADIUS_DEG)
     """Half the disc's angle, degrees, in [0, 90); 0 makes the shadow a cylinder."""
 
     def __check_init__(self) -> None:

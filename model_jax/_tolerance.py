@@ -5,6 +5,8 @@ spheres are only known to lie between two radii lie between the widths at the ex
 no linearisation, and holds at the limb, where the derivative is infinite.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -47,8 +49,8 @@ def width_ranges(scene: Scene, inner: float, outer: float) -> tuple[Range, Range
 
 
 def _displaced(view: View, ground: float, shell: float, shadow: float) -> View:
-    def radii(v: View) -> list[Scalar]:
-        return [v.planet, v.shell, *(cone.radius for cone in v.cones)]
+    def radii(v: View) -> list[Any]:
+        return [v.planet, v.shell, *(v.cones[k].radius for k in range(len(view.cones)))]
 
     changes = [ground, shell] + [shadow] * len(view.cones)
     moved = [radius + change for radius, change in zip(radii(view), changes, strict=True)]

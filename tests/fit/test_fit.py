@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 from PIL import Image
-from scipy.optimize import minimize_scalar
+from scipy.optimize import least_squares, minimize_scalar
 
 from fit import FitResult, Photo, Verdict, fit, load_photo
 from model_jax import (
@@ -362,6 +362,29 @@ def test_bounds(
     assert result.parameters[at_bound].value == 0.0
     assert result.parameters[at_bound].stderr is None
     assert np.mean(result.look.tint) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_end_at_a_bound_is_the_best_corner(seed: int) -> None:
+    """Against SciPy's bounded least squares from eight starts, where bounds are active.
+
+    Channel amplitudes of random sign, a negative shadow weight; lit air alone keeps brightness up.
+    """
+    rng = np.random.default_rng(seed)
+    lit, dark = rng.uniform(0.5, 1, (20, 20)), rng.uniform(0, 0.5, (20, 20))
+    layers = Layers(np.zeros_like(lit), lit + dark, lit, lit + dark)
+    amplitude = rng.permutation([-0.3, 0.5, 1.0])
+    photo = amplitude * (lit - 0.2 * dark)[..., None] + rng.normal(scale=0.02, size=(20, 20, 3))
+    result = fit(photo, layers, START, free=["brightness", "shadow", "tint"])
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        return (x[:3] * (lit + x[3] * dark)[..., None] - photo).reshape(-1)
+
+    runs = [least_squares(residual, rng.uniform(0, 2, 4), bounds=(0, np.inf)) for _ in range(8)]
+    best = 2 * min(run.cost for run in runs)
+    assert result.verdict == "at_bound"
+    # SciPy stays a little inside the bounds; ours may be lower, never higher.
+    assert square_sum(photo, layers, result) <= best * (1 + 1e-6)
 
 
 def test_surface_is_added(layers: Layers) -> None:

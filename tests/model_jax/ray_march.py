@@ -78,7 +78,7 @@ def camera_rays(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def inside(signed: Signed, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where a convex function is ≤ 0 between start and end; a zero-length interval where nowhere."""
+    """Where a convex function is ≤ 0 between start and end; of zero length where nowhere."""
     low, high = start, end
     for _ in range(90):  # (2/3)^90 = 1e-16 of the span
         third = (high - low) / 3

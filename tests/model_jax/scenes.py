@@ -16,7 +16,7 @@ def scene_of(
     sun: tuple[float, float, float] | None = (0.3, 0.5, 0.2),
     *,
     fov: float = 40.0,
-    size: tuple[int, int] = (48, 36),
+    size: tuple[int, int] = (32, 24),
     shell: float = 0.1,
     angular_radius: float = 0.2666,
     near: float = 1e-3,
@@ -45,7 +45,9 @@ PLACES = {
     "far, 232 radii": scene_of((140.0, -185.0, 15.0), fov=0.62, sun=(0.2, 1.0, 0.4)),
     "far, off axis": scene_of((232.0, 0.0, 0.0), (0.0, 0.9, 0.7), fov=0.5, sun=(-0.1, 0.8, 0.3)),
     "in the shell": scene_of((0.0, -1.05, 0.02), (0.8, 0.4, 0.5), fov=75.0, sun=(0.8, 0.2, -0.3)),
-    "in shell, by the ground": scene_of((0.0, 0.0, 1.001), (1.0, 0.3, 1.1), fov=60.0, shell=0.02),
+    "in shell, by the ground": scene_of(
+        (0.0, 0.0, 1.001), (1.0, 0.3, 1.1), (0.9, 0, -0.4), fov=60.0
+    ),
     "in the shadow": scene_of((0.3, -2.0, 0.2), sun=(0.0, 1.0, 0.1), fov=75.0),
     "in shadow and shell": scene_of((0.0, -1.1, 0.0), (1.0, 0.1, 0.3), sun=(0, 1, 0), shell=0.3),
     "planet behind": scene_of((0.0, -3.0, 0.0), (0.0, -6.0, 1.0)),
@@ -60,7 +62,7 @@ PLACES = {
 SHAPES = {
     "thin shell": scene_of((0.5, -2.5, 0.4), shell=0.002, fov=50.0),
     "thick shell": scene_of((0.5, -4.5, 0.4), shell=1.5, fov=60.0, sun=(0.7, 0.6, -0.2)),
-    "apex in the shell": scene_of((2.0, -2.5, 0.5), shell=0.5, angular_radius=45.0, fov=50.0),
+    "apex in the shell": scene_of((1.0, -2.5, 0.5), shell=0.5, angular_radius=35.0, fov=50.0),
     "apex in planet": scene_of((1.0, -2.5, 0.5), shell=0.5, angular_radius=75.0, fov=50.0),
     "cylinder": scene_of((0.5, -2.5, 0.4), angular_radius=0.0, shell=0.2, fov=50.0),
 }
@@ -78,12 +80,9 @@ AXES = {
         (0.0, -3.0, 0.0), sun=(0.0, 1.0, 0.0), size=(33, 33), angular_radius=10.0, fov=40.0
     ),
 }
-# 4-3-5: one radius off axis at the distance where pixel (·, 0) of a 2-pixel-wide picture is tangent.
+# The middle pixel of an odd picture looks along the axis and touches the body exactly.
 TANGENT = {
     "tangent to planet": scene_of(
-        (2.0, -5.0, 0.0), (2.0, 0.0, 0.0), size=(5, 5), fov=90.0, sun=(0.4, 0.6, 0.1), radius=1.0
-    ),
-    "tangent to planet, level": scene_of(
         (1.0, -5.0, 0.0), (1.0, 0.0, 0.0), size=(5, 5), fov=40.0, sun=(0.4, 0.6, 0.1), radius=1.0
     ),
     "tangent to shell": scene_of(

@@ -1,0 +1,289 @@
+"""The command line, as a user meets it: what it writes, prints, and says of bad input."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import render_gl
+from fit import _job
+from fit._cli import main
+from model_jax import DriverError
+
+SCENE = """
+[camera]
+position = [0.0, -20000.0, 6000.0]
+target = [0.0, 0.0, 0.0]
+up = [0.0, 0.0, 1.0]
+fov_y_deg = 42.0
+width = 160
+height = 120
+near = 12000.0
+far = 30000.0
+[planet]
+radius = 6371.0
+triangles = 20000
+[atmosphere]
+height = 600.0
+color = [0.3, 0.6, 1.0]
+[sun]
+direction = [1.0, -0.3, 0.2]
+"""
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch) -> Path:
+    """A folder to work in, with scene.toml and photo.png, a render of it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    assert airlight("render", "scene.toml", "-o", "photo.png") == 0
+    return tmp_path
+
+
+def airlight(*words: str) -> int:
+    """Run the command in this process; returns the exit code."""
+    from unittest import mock
+
+    with mock.patch.object(sys, "argv", ["airlight", *words]):
+        try:
+            main()
+        except SystemExit as stop:
+            return int(stop.code or 0)
+        return 0
+
+
+def test_render_writes_layers_and_picture_in_one_file(here: Path) -> None:
+    assert airlight("render", "scene.toml", "-o", "out.exr", "--size", "81x61") == 0
+    channels, header = render_gl.read_channels("out.exr")
+    assert {"front.Z", "back.Z", "shadow_front.Z", "shadow_back.Z", *"RGBA"} <= set(channels)
+    assert channels["R"].shape == (61, 81)
+    assert header["airlight.near"] == 12000.0
+    assert len(header["airlight.scene_hash"]) == 64
+
+
+@pytest.mark.parametrize("source", ["raster", "analytic"])
+def test_fit_recovers_the_rendered_look_and_writes_everything(here, source, capsys) -> None:
+    assert airlight("fit", "scene.toml", "photo.png", "-o", "out", "--source", source) == 0
+    document = json.loads(Path("out/fit.json").read_text())
+    assert document["schema"] == 1
+    assert document["verdict"] == "converged"
+    for name, truth in (("brightness", 3.0), ("shadow", 0.2)):
+        found = document["parameters"][name]
+        # The photo is 8-bit; analytic layers differ from the rasterised ones at the limb.
+        slack = 3 * found["stderr"] + found["quantisation_bound"]
+        assert abs(found["value"] - truth) <= max(slack, 0.01 * truth)
+    keys = {"schema", "scene", "photo", "verdict", "message", "parameters", "correlation"}
+    keys |= {"residual_rms", "pixels", "left_out", "seconds", "versions"}
+    assert keys <= set(document)
+    assert set(document["seconds"]) == {"render", "reduce", "solve", "report"}
+    assert {path.name for path in Path("out").iterdir()} == set(_job.FILES)
+    residual, _ = render_gl.read_channels("out/residual.exr")
+    used = residual["used.Y"] == 1
+    rms = np.sqrt(np.mean([residual[c][used].astype(float) ** 2 for c in "RGB"]))
+    assert rms == pytest.approx(document["residual_rms"], rel=1e-3)
+    assert "converged" in capsys.readouterr().out
+
+
+def test_fit_from_somebodys_layers(here: Path) -> None:
+    assert airlight("render", "scene.toml", "-o", "layers.exr", "--depth", "linear") == 0
+    assert airlight("fit", "--layers", "layers.exr", "photo.png", "-o", "out", "--json") == 0
+    document = json.loads(Path("out/fit.json").read_text())
+    assert document["parameters"]["shadow"]["value"] == pytest.approx(0.2, abs=0.002)
+
+
+def test_json_is_one_document_on_standard_output(here: Path, capsys) -> None:
+    assert airlight("fit", "scene.toml", "photo.png", "-o", "out", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "converged"
+    assert airlight("check", "scene.toml", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["passed"] is True
+    assert airlight("version", "--json") == 0
+    assert "JAX devices" in json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("depth", render_gl.DEPTH_FORMATS)
+def test_check_prints_and_writes_three_pictures(here: Path, capsys, depth: str) -> None:
+    assert airlight("check", "scene.toml", "--depth", depth) == 0
+    printed = capsys.readouterr().out
+    for word in ("pass", "in ulp", "relative to image max", "bound", "worst pixel"):
+        assert word in printed
+    found = {path.name for path in Path("scene-check").iterdir()}
+    assert found == {"glsl.exr", "jax.exr", "difference.exr"}
+
+
+def test_check_fails_with_exit_code_1(here: Path, monkeypatch) -> None:
+    from render_gl import _parity
+
+    monkeypatch.setattr(_parity, "ROUNDINGS", 0)
+    assert airlight("check", "scene.toml", "--depth", "linear") == 1
+
+
+def test_other_photo_sizes_of_the_same_shape_are_drawn_at_the_photos_size(here: Path) -> None:
+    assert airlight("render", "scene.toml", "-o", "big.png", "--size", "320x240") == 0
+    assert airlight("fit", "scene.toml", "big.png", "-o", "out") == 0
+    assert json.loads(Path("out/fit.json").read_text())["pixels"]["total"] == 320 * 240
+
+
+# --- bad input: one line, a remedy, exit code 2, nothing lost ----------------------------------
+
+
+def refused(capsys, *words: str) -> str:
+    """The one line on standard error of a refused command."""
+    capsys.readouterr()
+    assert airlight(*words) == 2
+    printed = capsys.readouterr()
+    lines = [line for line in printed.err.splitlines() if line.strip()]
+    assert len(lines) == 1, printed.err
+    assert lines[0].startswith("airlight: ")
+    assert "Traceback" not in printed.err
+    return lines[0]
+
+
+def spoil_text(path: Path) -> str:
+    path.with_name("text.jpg").write_text("this is no picture\n" * 20)
+    return "text.jpg"
+
+
+def spoil_truncated(suffix: str):
+    def make(path: Path) -> str:
+        name = f"cut.{suffix}"
+        if suffix == "exr":
+            airlight("render", "scene.toml", "-o", name)
+        else:
+            Image.open(path).save(name)
+        data = Path(name).read_bytes()
+        Path(name).write_bytes(data[: len(data) // 2])
+        return name
+
+    return make
+
+
+def spoil_channels(path: Path) -> str:
+    render_gl.write_channels("depth.exr", {"Z": np.ones((120, 160))}, {})
+    return "depth.exr"
+
+
+def spoil_shape(path: Path) -> str:
+    Image.open(path).crop((0, 0, 100, 100)).save("square.png")
+    return "square.png"
+
+
+PHOTOS = {
+    "missing": lambda path: "nowhere.png",
+    "folder": lambda path: ".",
+    "text named jpg": spoil_text,
+    "truncated jpeg": spoil_truncated("jpg"),
+    "truncated png": spoil_truncated("png"),
+    "truncated exr": spoil_truncated("exr"),
+    "exr without colour": spoil_channels,
+    "other aspect ratio": spoil_shape,
+}
+
+
+@pytest.mark.parametrize("spoil", PHOTOS.values(), ids=PHOTOS.keys())
+def test_bad_photos_are_refused(here: Path, capsys, spoil) -> None:
+    name = spoil(here / "photo.png")
+    line = refused(capsys, "fit", "scene.toml", name, "-o", "out")
+    assert name in line
+    assert not list(Path("out").glob("*"))
+
+
+def test_earlier_results_survive_a_refused_fit(here: Path, capsys) -> None:
+    assert airlight("fit", "scene.toml", "photo.png", "-o", "out") == 0
+    before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    refused(capsys, "fit", "scene.toml", "nowhere.png", "-o", "out")
+    assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
+
+
+COMMANDS = {
+    "no scene": ("render", "nowhere.toml", "-o", "a.exr"),
+    "unknown suffix": ("render", "scene.toml", "-o", "a.tga"),
+    "bad size": ("render", "scene.toml", "-o", "a.exr", "--size", "12"),
+    "zero size": ("render", "scene.toml", "-o", "a.exr", "--size", "0x9"),
+    "one path": ("fit", "photo.png", "-o", "out"),
+    "near without layers": ("fit", "scene.toml", "photo.png", "-o", "out", "--near", "3"),
+    "no folder": ("render", "scene.toml", "-o", "none/a.exr"),
+    "out is a file": ("fit", "scene.toml", "photo.png", "-o", "photo.png"),
+    "unknown parameter": ("fit", "scene.toml", "photo.png", "-o", "out", "--free", "glow"),
+    "unknown solver": ("fit", "scene.toml", "photo.png", "-o", "out", "--solver", "magic"),
+    "unknown curve": ("fit", "scene.toml", "photo.png", "-o", "out", "--tone-curve", "log"),
+    "layers without channels": ("fit", "--layers", "photo.png", "photo.png", "-o", "out"),
+}
+
+
+@pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS.keys())
+def test_bad_commands_are_refused_in_one_line(here: Path, capsys, words) -> None:
+    refused(capsys, *words)
+
+
+def test_unwritable_folder(here: Path, capsys, monkeypatch) -> None:
+    """Root may write anywhere, so the folder is one in which nobody can: /proc."""
+    line = refused(capsys, "fit", "scene.toml", "photo.png", "-o", "/proc/airlight")
+    assert "/proc/airlight" in line
+
+
+def test_no_driver(here: Path, capsys, monkeypatch) -> None:
+    def fail(scene, look, depth_format):
+        raise DriverError("no OpenGL driver; install one, or use --source analytic")
+
+    monkeypatch.setattr(render_gl._render, "draw", fail)
+    assert "--source analytic" in refused(capsys, "render", "scene.toml", "-o", "a.exr")
+    assert airlight("fit", "scene.toml", "photo.png", "-o", "out", "--source", "analytic") == 0
+
+
+PICTURES = {
+    "all black": (np.zeros((120, 160, 3), np.uint8), "no_data"),
+    "all white": (np.full((120, 160, 3), 255, np.uint8), "no_data"),
+}
+
+
+@pytest.mark.parametrize(("pixels", "verdict"), PICTURES.values(), ids=PICTURES.keys())
+def test_photos_that_tell_nothing_get_a_verdict(here: Path, pixels, verdict) -> None:
+    Image.fromarray(pixels).save("flat.png")
+    assert airlight("fit", "scene.toml", "flat.png", "-o", "out") == 1
+    document = json.loads(Path("out/fit.json").read_text())
+    assert document["verdict"] == verdict
+    assert Path("out/report.html").stat().st_size > 0
+
+
+def test_one_pixel_photo(here: Path) -> None:
+    Path("one.toml").write_text(SCENE.replace("160", "1").replace("120\n", "1\n"))
+    Image.fromarray(np.full((1, 1, 3), 99, np.uint8)).save("one.png")
+    assert airlight("fit", "one.toml", "one.png", "-o", "out") == 1
+    assert json.loads(Path("out/fit.json").read_text())["verdict"] == "no_data"
+
+
+def test_mask_that_excludes_everything(here: Path) -> None:
+    Image.fromarray(np.zeros((120, 160), np.uint8)).save("mask.png")
+    assert airlight("fit", "scene.toml", "photo.png", "-o", "out", "--mask", "mask.png") == 1
+    document = json.loads(Path("out/fit.json").read_text())
+    assert document["verdict"] == "no_data"
+    assert document["pixels"]["used"] == 0
+
+
+def test_pixels_that_are_not_numbers_are_left_out(here: Path) -> None:
+    airlight("render", "scene.toml", "-o", "photo.exr")
+    channels, _ = render_gl.read_channels("photo.exr")
+    picture = {name: channels[name].copy() for name in "RGB"}
+    picture["R"][30:50] = np.nan
+    picture["G"][60:65] = np.inf
+    render_gl.write_channels("holes.exr", picture, {})
+    assert airlight("fit", "scene.toml", "holes.exr", "-o", "out") == 0
+    document = json.loads(Path("out/fit.json").read_text())
+    assert document["pixels"]["excluded"]["not finite"] > 0
+    assert document["parameters"]["brightness"]["value"] == pytest.approx(3.0, rel=1e-3)
+
+
+def test_console_script_is_installed() -> None:
+    command = shutil.which("airlight", path=str(Path(sys.executable).parent))
+    assert command is not None
+    done = subprocess.run([command, "version"], capture_output=True, text=True, check=True)
+    assert "OpenGL" in done.stdout
+
+
+def test_unknown_option_is_a_usage_error() -> None:
+    assert airlight("fit", "--frobnicate") == 2

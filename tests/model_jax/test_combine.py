@@ -1,0 +1,131 @@
+"""The combine contract by hand, its clamps, its colour, and what `composite` adds."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from model_jax import DepthTextures, Layers, Look, combine, composite, layer_widths, linearize_depth
+
+# name: (front, back, shadow_front, shadow_back) -> (lit, dark), all exact in binary.
+CASES = {
+    "shadow inside": ((1.0, 9.0, 3.0, 5.0), (6.0, 2.0)),
+    "shadow before the air": ((4.0, 9.0, 1.0, 3.0), (5.0, 0.0)),
+    "shadow behind the air": ((1.0, 4.0, 6.0, 8.0), (3.0, 0.0)),
+    "shadow enters before": ((2.0, 9.0, 1.0, 5.0), (4.0, 3.0)),
+    "shadow leaves behind": ((2.0, 9.0, 6.0, 12.0), (4.0, 3.0)),
+    "shadow around the air": ((2.0, 9.0, 1.0, 12.0), (0.0, 7.0)),
+    "shadow is the air": ((2.0, 9.0, 2.0, 9.0), (0.0, 7.0)),
+    "shadow touches the front": ((2.0, 9.0, 1.0, 2.0), (7.0, 0.0)),
+    "empty shadow in the air": ((2.0, 9.0, 4.0, 4.0), (7.0, 0.0)),
+    "no air": ((5.0, 5.0, 1.0, 9.0), (0.0, 0.0)),
+    "nothing at all": ((5.0, 5.0, 5.0, 5.0), (0.0, 0.0)),
+    "before the reference": ((-3.0, 1.0, -2.0, 0.5), (1.5, 2.5)),
+}
+COLUMNS = [np.array([case[0][k] for case in CASES.values()]) for k in range(4)]
+LIT, DARK = (np.array([case[1][k] for case in CASES.values()]) for k in range(2))
+
+
+def layers_of(dtype: np.dtype, shadow: bool = True, **more: object) -> Layers:
+    """All cases as the pixels of one row."""
+    front, back, shadow_front, shadow_back = (c[None, :].astype(dtype) for c in COLUMNS)
+    if not shadow:
+        return Layers(front, back, **more)
+    return Layers(front, back, shadow_front, shadow_back, **more)
+
+
+@pytest.mark.parametrize("unit", [1.0, 4.0])
+def test_widths_by_hand(unit: float, dtype: np.dtype) -> None:
+    lit, dark = layer_widths(layers_of(dtype, width_unit=unit))
+    assert lit.dtype == dark.dtype == dtype
+    for k, name in enumerate(CASES):
+        assert (float(lit[0, k]), float(dark[0, k])) == (LIT[k] / unit, DARK[k] / unit), name
+
+
+def test_without_shadow_all_air_is_lit(dtype: np.dtype) -> None:
+    lit, dark = layer_widths(layers_of(dtype, shadow=False))
+    assert dark is None
+    np.testing.assert_array_equal(lit[0], LIT + DARK)
+
+
+def test_clamping_commutes_with_linearising_bit_for_bit(
+    rng: np.random.Generator, dtype: np.dtype
+) -> None:
+    """min and max select, and linearising is monotone: which of two equal depths is taken does not
+    show. So the contract's clamp in window depth equals the clamp in eye depth exactly."""
+    near, far = 1.0, 300.0
+    front, back = np.sort(rng.random((2, 40, 50)), axis=0).astype(dtype)
+    shadow_front, shadow_back = np.sort(rng.random((2, 40, 50)), axis=0).astype(dtype)
+    shadow_back[0], shadow_front[1] = front[0], back[1]
+    textures = DepthTextures(front, back, shadow_front, shadow_back, near, far, linear=False)
+    lit, dark = layer_widths(textures.linearize())
+    shb = linearize_depth(np.minimum(np.maximum(shadow_back, front), back), near, far)
+    shf = linearize_depth(np.minimum(np.maximum(shadow_front, front), back), near, far)
+    z_front, z_back = linearize_depth(front, near, far), linearize_depth(back, near, far)
+    unit = jnp.asarray(far - near, dtype)
+    np.testing.assert_array_equal(lit, ((z_back - shb) + (shf - z_front)) / unit)
+    np.testing.assert_array_equal(dark, (shb - shf) / unit)
+    assert float(dark.max()) > 0.1
+
+
+def test_combine_is_the_contract(dtype: np.dtype) -> None:
+    """`rgb = brightness · color · tint · (lit + shadow · dark)`; five rounded factors and a sum."""
+    look = Look(brightness=2.5, shadow=0.3, tint=(0.5, 1.0, 1.5))
+    color = np.array([0.4, 0.6, 0.9, 0.7])
+    got = combine(layers_of(dtype, color=color, width_unit=3.0), look)
+    assert got.dtype == dtype
+    width = (LIT + 0.3 * DARK) / 3.0
+    expected = 2.5 * width[:, None] * color[:3] * np.array([0.5, 1.0, 1.5])
+    np.testing.assert_allclose(got[0, :, :3], expected, rtol=8 * np.finfo(dtype).eps)
+
+
+def test_defaults_are_the_papers() -> None:
+    look = Look()
+    assert (float(look.brightness), float(look.shadow)) == (3.0, 0.2)
+    got = combine(layers_of(np.dtype("float32")), look)
+    expected = 3.0 * (LIT + 0.2 * DARK)
+    np.testing.assert_allclose(got[0, :, 1], expected, rtol=4 * np.finfo(np.float32).eps)
+
+
+def test_alpha_is_the_colours_where_there_is_air(dtype: np.dtype) -> None:
+    got = combine(layers_of(dtype, color=np.array([1.0, 1.0, 1.0, 0.5])), Look())
+    np.testing.assert_array_equal(got[0, :, 3], np.where(LIT + DARK > 0, 0.5, 0.0))
+
+
+def test_shadow_per_channel_is_three_pictures_in_one(dtype: np.dtype) -> None:
+    weights = (0.1, 0.2, 0.7)
+    together = combine(layers_of(dtype), Look(shadow=weights))
+    for channel, weight in enumerate(weights):
+        alone = combine(layers_of(dtype), Look(shadow=weight))
+        np.testing.assert_array_equal(together[..., channel], alone[..., channel])
+
+
+def test_shadow_one_is_no_shadow(dtype: np.dtype) -> None:
+    """A shadow as bright as light: lit + dark is the air, here exactly (small whole numbers)."""
+    with_shadow = combine(layers_of(dtype), Look(shadow=1.0))
+    without = combine(layers_of(dtype, shadow=False), Look())
+    np.testing.assert_array_equal(with_shadow, without)
+
+
+@pytest.mark.parametrize("background", [0.25, (0.25, 0.5, 0.125)], ids=["number", "channels"])
+def test_composite_adds_surface_and_background(background: object, dtype: np.dtype) -> None:
+    shape = (1, len(CASES))
+    surface = np.full((*shape, 3), 0.5, dtype)
+    planet = np.zeros(shape, dtype)
+    planet[0, ::2] = 1
+    color = np.array([1.0, 1.0, 1.0, 0.5])
+    layers = layers_of(dtype, surface=surface, planet=planet, color=color)
+    look = Look(background=background)
+    got, air = composite(layers, look), combine(layers, look)
+    added = np.broadcast_to(np.asarray(background) + 0.5, (*got.shape[:2], 3))
+    # One sum of two roundings: the order in which three numbers are added is not the contract's.
+    np.testing.assert_allclose(got[..., :3] - air[..., :3], added, rtol=0, atol=_ulps(got))
+    np.testing.assert_array_equal(got[0, :, 3], np.maximum(air[0, :, 3], planet[0]))
+
+
+def _ulps(image: np.ndarray) -> float:
+    return 2 * float(np.finfo(image.dtype).eps) * float(np.max(image))
+
+
+def test_composite_of_nothing_but_air_is_the_combine(dtype: np.dtype) -> None:
+    layers = layers_of(dtype)
+    np.testing.assert_array_equal(composite(layers, Look()), combine(layers, Look()))

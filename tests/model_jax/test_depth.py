@@ -1,0 +1,101 @@
+"""Linearisation of window depth: its fixed points, its inverse and its rounding."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from model_jax import DepthTextures, Layers, depth_constants, linearize_depth
+
+RANGES = {
+    "near": (0.5, 8.0),
+    "planet": (1.0, 1e4),
+    "kilometres": (3.0, 40_000.0),
+}
+
+
+def window_of(z: np.ndarray, near: float, far: float) -> np.ndarray:
+    """DESIGN §4: `w = far/(far-near) · (1 - near/z)`."""
+    return far / (far - near) * (1 - near / z)
+
+
+@pytest.mark.parametrize(("near", "far"), RANGES.values(), ids=RANGES)
+def test_ends(near: float, far: float, dtype: np.dtype) -> None:
+    """Window 0 is the near plane and 1 the far plane.
+
+    At 0 only a and b are rounded. At 1 the divisor `1 - a = -near/(far-near)` holds the rounding of
+    `a ≈ 1`: half an ulp of 1, times (far-near)/near.
+    """
+    eps = float(np.finfo(dtype).eps)
+    ends = linearize_depth(np.array([0.0, 1.0], dtype), near, far)
+    assert ends.dtype == dtype
+    assert float(ends[0]) == pytest.approx(near, rel=2 * eps)
+    assert float(ends[1]) == pytest.approx(far, rel=2 * eps * (far - near) / near)
+
+
+@pytest.mark.parametrize(("near", "far"), RANGES.values(), ids=RANGES)
+def test_inverts_the_projection(near: float, far: float, dtype: np.dtype) -> None:
+    """A step ε of window depth is ε z² (far-near)/(far·near) of eye depth (DESIGN §4); window
+    depth, `a` and their difference round by half an ulp of 1 each."""
+    eps = np.finfo(dtype).eps
+    z = np.geomspace(near, far, 401)
+    window = window_of(z, near, far).astype(dtype)
+    got = np.asarray(linearize_depth(window, near, far), np.float64)
+    bound = 2 * eps * z**2 * (far - near) / (far * near) + 3 * eps * z
+    # At the far end of float32 the step is no longer small against z: allow for the second order.
+    bound = bound / (1 - np.minimum(bound / z, 0.5))
+    assert np.all(np.abs(got - z) <= bound)
+    assert np.all(np.diff(got) >= 0), "not monotone"
+
+
+def test_float32_against_float64_of_the_same_textures() -> None:
+    """The same window values in both: the constant `a` rounds (half an ulp of 1), so does the
+    difference, and the quotient."""
+    near, far = RANGES["planet"]
+    eps = np.finfo(np.float32).eps
+    window = np.linspace(0, 0.999, 1000, dtype=np.float32)
+    a, b = depth_constants(near, far)
+    exact = b / (window.astype(np.float64) - a)
+    got = np.asarray(linearize_depth(window, near, far), np.float64)
+    bound = eps * exact**2 * (far - near) / (far * near) + 2 * eps * exact
+    assert np.all(np.abs(got - exact) <= bound)
+
+
+def test_traced_planes_give_the_same_depth(dtype: np.dtype) -> None:
+    near, far = (jnp.asarray(plane, dtype) for plane in RANGES["near"])
+    window = np.linspace(0, 0.9, 10, dtype=dtype)
+    got = linearize_depth(window, near, far)
+    assert got.dtype == dtype
+    np.testing.assert_allclose(
+        got, linearize_depth(window, *RANGES["near"]), rtol=32 * np.finfo(dtype).eps
+    )
+
+
+def textures(dtype: np.dtype, linear: bool, shadow: bool = True) -> DepthTextures:
+    window = np.linspace(0.1, 0.8, 12).reshape(3, 4).astype(dtype)
+    later = window + np.asarray(0.05, dtype)
+    pair = (window + np.asarray(0.01, dtype), later) if shadow else (None, None)
+    return DepthTextures(window, later, *pair, 0.5, 8.0, linear, 2.0)
+
+
+def test_textures_become_layers(dtype: np.dtype) -> None:
+    depth = textures(dtype, linear=False)
+    layers = depth.linearize()
+    assert isinstance(layers, Layers)
+    np.testing.assert_array_equal(layers.front, linearize_depth(depth.front, 0.5, 8.0))
+    np.testing.assert_array_equal(layers.shadow_back, linearize_depth(depth.back, 0.5, 8.0))
+    assert (layers.reference, layers.width_unit) == (0.0, 7.5)
+
+
+def test_linear_textures_pass_through_with_their_reference(dtype: np.dtype) -> None:
+    depth = textures(dtype, linear=True)
+    layers = depth.linearize()
+    np.testing.assert_array_equal(layers.back, depth.back)
+    assert (layers.reference, layers.width_unit) == (2.0, 7.5)
+
+
+@pytest.mark.parametrize("linear", [False, True], ids=["window", "linear"])
+def test_absent_shadow_stays_absent(linear: bool) -> None:
+    layers = textures(np.dtype("float32"), linear, shadow=False).linearize()
+    assert layers.shadow_front is None
+    assert layers.shadow_back is None
+    assert not layers.has_shadow

@@ -1,0 +1,150 @@
+"""Scene and look records: defaults, conversion, and the one line that a bad value gets."""
+
+from collections.abc import Callable
+
+import jax
+import numpy as np
+import pytest
+
+from model_jax import (
+    PARAMETERS,
+    Atmosphere,
+    Camera,
+    InputError,
+    Layers,
+    Look,
+    Occluder,
+    Planet,
+    Scene,
+    Sun,
+)
+
+GOOD = {
+    "position": (0.0, -3.0, 0.0),
+    "forward": (0.0, 2.0, 0.0),
+    "up": (0.0, 0.0, 1.0),
+    "fov_y_deg": 40.0,
+    "width": 64,
+    "height": 48,
+    "near": 0.1,
+    "far": 6.0,
+}
+
+
+def camera(**changes: object) -> Camera:
+    return Camera(**(GOOD | changes))
+
+
+# what is built: (how, the field that the message must open with, the value it must show)
+BAD: dict[str, tuple[Callable[[], object], str, str]] = {
+    "near zero": (lambda: camera(near=0.0), "camera.near", "0"),
+    "near negative": (lambda: camera(near=-2.5), "camera.near", "-2.5"),
+    "near nan": (lambda: camera(near=float("nan")), "camera.near", "nan"),
+    "far before near": (lambda: camera(far=0.05), "camera.far", "0.05"),
+    "far infinite": (lambda: camera(far=float("inf")), "camera.far", "inf"),
+    "fov 0": (lambda: camera(fov_y_deg=0.0), "camera.fov_y_deg", "0"),
+    "fov 180": (lambda: camera(fov_y_deg=180.0), "camera.fov_y_deg", "180"),
+    "no direction": (lambda: camera(forward=(0.0, 0.0, 0.0)), "camera.forward", "0.0, 0.0, 0.0"),
+    "direction nan": (lambda: camera(forward=(0.0, np.nan, 1.0)), "camera.forward", "nan"),
+    "up parallel": (lambda: camera(up=(0.0, -1.0, 0.0)), "camera.up", "-1.0"),
+    "position inf": (lambda: camera(position=(np.inf, 0.0, 0.0)), "camera.position", "inf"),
+    "no columns": (lambda: camera(width=0), "camera.width", "0"),
+    "too many rows": (lambda: camera(height=70000), "camera.height", "70000"),
+    "radius zero": (lambda: Planet(0.0), "planet.radius", "0"),
+    "radius nan": (lambda: Planet(float("nan")), "planet.radius", "nan"),
+    "few triangles": (lambda: Planet(1.0, triangles=3), "planet.triangles", "3"),
+    "relief distance": (
+        lambda: Planet(1.0, relief_distance=(2.0, 1.0)),
+        "planet.relief_distance",
+        "(2.0, 1.0)",
+    ),
+    "relief scale": (
+        lambda: Planet(1.0, relief_scale=(-1.0, 1.0)),
+        "planet.relief_scale",
+        "(-1.0, 1.0)",
+    ),
+    "no air": (lambda: Atmosphere(0.0), "atmosphere.height", "0"),
+    "negative colour": (lambda: Atmosphere(0.1, (-1.0, 0.0, 0.0)), "atmosphere.color", "-1.0"),
+    "sun without direction": (lambda: Sun((0.0, 0.0, 0.0)), "sun.direction", "0.0"),
+    "sun too large": (lambda: Sun((1.0, 0.0, 0.0), 90.0), "sun.angular_radius_deg", "90"),
+    "sun negative": (lambda: Sun((1.0, 0.0, 0.0), -1.0), "sun.angular_radius_deg", "-1"),
+    "occluder": (lambda: Occluder((1.0, 0.0, 0.0), -2.0), "occluder.radius", "-2"),
+    "camera in planet": (
+        lambda: Scene(camera(), Planet(4.0), Atmosphere(0.1)),
+        "camera.position",
+        "-3.0",
+    ),
+    "occluder without sun": (
+        lambda: Scene(
+            camera(), Planet(1.0), Atmosphere(0.1), None, (Occluder((2.0, 0.0, 0.0), 0.1),)
+        ),
+        "occluder",
+        "1",
+    ),
+    "brightness negative": (lambda: Look(brightness=-1.0), "look.brightness", "-1"),
+    "brightness nan": (lambda: Look(brightness=float("nan")), "look.brightness", "nan"),
+    "shadow negative": (lambda: Look(shadow=-0.5), "look.shadow", "-0.5"),
+    "tint negative": (lambda: Look(tint=(1.0, -1.0, 1.0)), "look.tint", "-1"),
+    "background infinite": (lambda: Look(background=float("inf")), "look.background", "inf"),
+    "look of text": (lambda: Look(brightness="bright"), "look", "bright"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_values_are_named_with_value_and_remedy(name: str) -> None:
+    build, field, value = BAD[name]
+    with pytest.raises(InputError) as error:
+        build()
+    message = str(error.value)
+    assert message.startswith(field), message
+    assert value in message, message
+    assert "\n" not in message
+    remedies = ("must", "give", "choose", "move", "add", "is not a number")
+    assert any(word in message for word in remedies), message
+
+
+def test_defaults_pass_through_the_converters() -> None:
+    look = Look()
+    assert isinstance(look.tint, np.ndarray)
+    assert look.tint.dtype == np.float64
+    for name, info in PARAMETERS.items():
+        np.testing.assert_array_equal(getattr(look, name), info.default)
+    assert isinstance(Atmosphere(1.0).color, np.ndarray)
+    np.testing.assert_array_equal(Atmosphere(1.0).color, 1.0)
+    zeros = np.zeros((2, 3), np.float32)
+    assert isinstance(Layers(zeros, zeros).color, np.ndarray)
+    assert isinstance(Sun((1.0, 0.0, 0.0)).angular_radius_deg, np.floating)
+
+
+def test_every_default_lies_within_its_bounds() -> None:
+    for info in PARAMETERS.values():
+        assert info.lower <= info.default <= info.upper
+
+
+def test_directions_become_unit_vectors() -> None:
+    np.testing.assert_allclose(np.linalg.norm(Sun((3.0, 4.0, 12.0)).direction), 1, rtol=1e-15)
+    np.testing.assert_array_equal(camera().forward, (0.0, 1.0, 0.0))
+
+
+def test_three_colours_mean_alpha_one() -> None:
+    np.testing.assert_array_equal(Atmosphere(1.0, (0.2, 0.3, 0.4)).color, (0.2, 0.3, 0.4, 1.0))
+
+
+def test_basis_is_right_handed_and_orthonormal(rng: np.random.Generator) -> None:
+    basis = camera(forward=rng.normal(size=3), up=rng.normal(size=3)).basis()
+    np.testing.assert_allclose(basis @ basis.T, np.eye(3), atol=1e-15)
+    # Rows are right, up, forward: with up × right = forward the determinant is -1.
+    assert np.linalg.det(basis) == pytest.approx(-1)
+
+
+def test_resized_keeps_the_vertical_field() -> None:
+    small = camera().resized(32, 24)
+    assert (small.width, small.height) == (32, 24)
+    assert small.pixel_size() == 2 * camera().pixel_size()
+
+
+def test_numbers_are_leaves_and_names_are_not() -> None:
+    scene = Scene(camera(), Planet(1.0, relief="map.png"), Atmosphere(0.1), Sun((1.0, 0.0, 0.0)))
+    leaves = jax.tree.leaves(scene)
+    assert leaves
+    assert all(isinstance(leaf, np.ndarray | np.floating) for leaf in leaves)

@@ -1,0 +1,100 @@
+"""Rasterised widths lie where tessellation, pixel grid and depth format allow them to lie."""
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+import render_gl
+from model_jax import Scene, layer_widths, width_ranges
+from render_gl._accuracy import displacement, measure_accuracy, smooth
+from render_gl._mesh import shadow_mesh, sphere_mesh
+
+from .test_parity import SCENES
+
+
+@pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
+@pytest.mark.parametrize("case", SCENES.values(), ids=SCENES.keys())
+def test_rasterised_widths_are_as_predicted(case: Scene, depth_format: str) -> None:
+    accuracy = measure_accuracy(case, depth_format)
+    assert accuracy.passed, accuracy.summary()
+    assert np.nanmax(accuracy.measured) > 0
+
+
+def test_prediction_is_no_excuse() -> None:
+    """Half the median prediction is really used up: the bound is not just large."""
+    accuracy = measure_accuracy(SCENES["sun (1, -1, 1)"], "linear")
+    lit = accuracy.summary()["lit"]
+    assert lit["predicted_median"] <= 20 * lit["median"]
+
+
+def test_a_wrong_radius_is_found(monkeypatch) -> None:
+    """The comparison fails when the shell is drawn 0.1 % too large."""
+    case = SCENES["sun (1, -1, 1)"]
+    original = render_gl._accuracy.render
+
+    def wrong(scene: Scene, depth_format: str):
+        height = scene.atmosphere.height + 0.001 * scene.planet.radius
+        return original(eqx.tree_at(lambda s: s.atmosphere.height, scene, height), depth_format)
+
+    monkeypatch.setattr(render_gl._accuracy, "render", wrong)
+    assert not measure_accuracy(case, "linear").passed
+
+
+def test_width_ranges_close_on_the_exact_widths() -> None:
+    case = smooth(SCENES["odd size"])
+    (lit, same), (dark, _) = width_ranges(case, 0.0, 0.0)
+    np.testing.assert_array_equal(lit, same)
+    (low, high), (dark_low, dark_high) = width_ranges(case, *displacement(case))
+    assert np.all((low <= lit) & (lit <= high))
+    assert np.all((dark_low <= dark) & (dark <= dark_high))
+    assert np.max(high - low) > 0
+
+
+@pytest.mark.parametrize("triangles", [20, 1000, 196_000])
+def test_sphere_is_closed_and_has_its_triangles(triangles: int) -> None:
+    mesh = sphere_mesh(triangles)
+    count = len(mesh.triangles)
+    assert count >= triangles
+    assert len(mesh.vertices) - 3 * count // 2 + count == 2  # Euler: every edge has two faces
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 1, rtol=1e-15 * 4)
+
+
+def test_paper_mesh_stays_within_3e5_radii() -> None:
+    assert 0 < 1 - sphere_mesh(196_000).inner_radius < 3e-5
+
+
+@pytest.mark.parametrize("tangent", [0.0, 0.005, 2.0], ids=["cylinder", "sun", "apex"])
+def test_shadow_mesh_faces_outward(tangent: float) -> None:
+    toward = np.array([0.6, 0.0, 0.8])
+    mesh = shadow_mesh(toward, tangent, 1.0, 1.1)
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+    inside = -0.1 * toward
+    assert np.min(np.sum((a - inside) * np.cross(b - a, c - a), axis=1)) > -1e-15
+
+
+def test_relief_hides_air() -> None:
+    """Mountains make the air in front of them thinner, never thicker, on the paper's scene."""
+    data = render_gl.load_scene("examples/paper.toml").scene
+    bare = smooth(data)
+    with jax.enable_x64(True):
+        flat = layer_widths(render_gl.render(bare, "linear"))
+    assert float(np.min(flat[0])) >= -1e-6
+
+
+def test_thousand_renders_need_no_more_memory_than_fifty() -> None:
+    import resource
+
+    case = eqx.tree_at(
+        lambda s: s.camera, SCENES["no sun"], SCENES["no sun"].camera.resized(64, 48)
+    )
+
+    def peak(renders: int) -> int:
+        for _ in range(renders):
+            render_gl.render(case, "linear")
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+    warm = peak(50)
+    # One render's textures are 64·48·(4·3 + 1 + 1)·4 bytes = 0.17 MB and its mesh 0.5 MB: keeping
+    # either for 150 renders would add 25 MB or more.
+    assert peak(150) - warm < 20_000

@@ -1,0 +1,179 @@
+"""Rendering, and layer files: what comes out has the right shape, side up and numbers."""
+
+from pathlib import Path
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import render_gl
+from model_jax import (
+    DriverError,
+    InputError,
+    Look,
+    Occluder,
+    Planet,
+    Scene,
+    analytic_layers,
+    combine,
+    composite,
+)
+from render_gl import _context
+from render_gl._uniforms import relief_scale
+
+from .test_parity import SCENES, scene
+
+
+def test_layers_of_a_scene_without_sun_have_no_shadow() -> None:
+    layers = render_gl.render(SCENES["no sun"])
+    assert layers.shadow_front is None
+    assert layers.shadow_back is None
+    assert layers.surface is None
+
+
+def test_image_is_the_right_way_up() -> None:
+    """A sun straight up in the picture lights the upper half of the ring."""
+    case = scene(sun=(0.0, 0.0, 1.0))
+    image = render_gl.render_image(case, Look())[..., 2]
+    exact = np.asarray(composite(analytic_layers(case), Look()))[..., 2]
+    assert image[:120].sum() > 1.5 * image[120:].sum()
+    assert exact[:120].sum() > 1.5 * exact[120:].sum()
+
+
+@pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
+def test_image_equals_composite_of_its_layers(depth_format: str) -> None:
+    look = Look(background=0.25, tint=[1.2, 1.0, 0.8])
+    image = render_gl.render_image(SCENES["odd size"], look, depth_format)
+    again = np.asarray(composite(render_gl.render(SCENES["odd size"], depth_format), look))
+    # 11 roundings of ε = 1.2e-7 on values up to 1 (see _parity), one more for the background.
+    np.testing.assert_allclose(image, again, atol=12 * 1.2e-7, rtol=0)
+
+
+def test_camera_inside_the_shell_sees_air_everywhere() -> None:
+    case = scene(distance=1.02, thickness=0.05)
+    near = 1e-3 * 6371.0
+    case = eqx.tree_at(lambda s: s.camera.near, case, near)
+    layers = render_gl.render(case, "linear")
+    assert np.all(layers.has_air)
+    exact = analytic_layers(case)
+    inside = np.asarray(layers.front)
+    np.testing.assert_allclose(inside, np.asarray(exact.front), rtol=1e-5)
+
+
+def test_camera_inside_the_shadow() -> None:
+    """No front face of the cone is in view; the shadow begins at the near plane."""
+    case = scene(distance=1.03, thickness=0.05, sun=(-0.2, 0.9, -0.3))
+    case = eqx.tree_at(lambda s: s.camera.near, case, 6.371)
+    picture = np.asarray(combine(render_gl.render(case, "linear"), Look(shadow=0.0)))
+    exact = np.asarray(combine(analytic_layers(case), Look(shadow=0.0)))
+    wrong = np.abs(picture - exact).max(axis=-1) > 1e-2 * exact.max()
+    assert np.mean(wrong) < 0.01  # the limb's edge pixels
+
+
+def test_relief_scale_grows_with_distance() -> None:
+    def scale(distance: float) -> float:
+        case = scene(distance=distance)
+        planet = Planet(6371.0, relief_scale=(1.0, 20.0), relief_distance=(0.01, 2.0))
+        return relief_scale(eqx.tree_at(lambda s: s.planet, case, planet))
+
+    assert scale(1.005) == 1.0
+    assert scale(50.0) == 20.0
+    assert 1.0 < scale(1.1) < scale(1.5) < 20.0
+
+
+def test_relief_and_albedo_are_drawn(data_dir: Path) -> None:
+    planet = Planet(
+        6371.0,
+        relief=str(data_dir / "textures/visibleearth_topo_bump_2048x1024.png"),
+        relief_unit=8.8,
+        relief_scale=(1.0, 10.0),
+        albedo=str(data_dir / "textures/land_shallow_topo_2048.jpg"),
+    )
+    case = scene(sun=(0.2, -0.9, 0.3))
+    bare = render_gl.render(case, "linear")
+    textured = render_gl.render(eqx.tree_at(lambda s: s.planet, case, planet), "linear")
+    assert bare.surface is None
+    assert 0.02 < float(np.mean(textured.surface[100:140, 140:180])) < 0.5
+    rise = (np.asarray(bare.back) - np.asarray(textured.back))[np.asarray(bare.planet) == 1]
+    # 8.8 km ten times exaggerated; near the limb a slope moves the depth by more than the height.
+    assert 20 < np.percentile(rise, 99) < 200
+    assert np.median(rise) >= -0.5
+
+
+def test_occluders_are_refused_by_name() -> None:
+    bare = scene()
+    moon = (Occluder([0, 1e5, 0], 1737.0),)
+    case = Scene(bare.camera, bare.planet, bare.atmosphere, bare.sun, moon)
+    with pytest.raises(InputError, match="occluder: 1 given"):
+        render_gl.render(case)
+
+
+def test_too_large_pictures_are_refused() -> None:
+    case = eqx.tree_at(lambda s: s.camera, scene(), scene().camera.resized(65536, 8))
+    with pytest.raises(InputError, match="limit"):
+        render_gl.render(case)
+
+
+def test_without_a_driver_the_error_says_what_to_install(monkeypatch) -> None:
+    import moderngl
+
+    def fail(**settings):
+        raise Exception("cannot load libEGL")
+
+    monkeypatch.setattr(moderngl, "create_context", fail)
+    with pytest.raises(DriverError, match="apt-get install libegl1") as caught:
+        _context.gl_context.__wrapped__()  # past the cache, which may hold a good context
+    assert "\n" not in str(caught.value)
+
+
+def test_reading_files_needs_no_opengl() -> None:
+    import subprocess
+    import sys
+
+    code = (
+        "import sys, render_gl; render_gl.load_scene('examples/paper.toml');"
+        "assert 'moderngl' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_layer_files_come_back_as_they_were(tmp_path: Path) -> None:
+    case = SCENES["odd size"]
+    layers = render_gl.render(case, "linear")
+    render_gl.write_layers(tmp_path / "layers.exr", layers, case)
+    again = render_gl.read_layers(tmp_path / "layers.exr")
+    for name in ("front", "back", "shadow_front", "shadow_back", "planet", "color"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(layers, name))
+    assert again.surface is None
+    assert (again.reference, again.width_unit) == (layers.reference, layers.width_unit)
+
+
+def test_window_depths_of_another_renderer(tmp_path: Path) -> None:
+    case = SCENES["odd size"]
+    near, far = float(case.camera.near), float(case.camera.far)
+    exact = analytic_layers(case)
+    depth = np.asarray(exact.front, np.float64) + float(exact.reference)
+    back = np.asarray(exact.back, np.float64) + float(exact.reference)
+
+    def window(z):
+        return far / (far - near) * (1 - near / z)
+
+    path = tmp_path / "other.exr"
+    render_gl.write_channels(path, {"front.Z": window(depth), "back.Z": window(back)}, {})
+    layers = render_gl.read_layers(path, near, far)
+    # Float32 window depth near 1 has steps of 2^-24: a step of ε z² (far - near)/(far near) in z.
+    step = 2**-23 * far * far * (far - near) / (far * near)
+    np.testing.assert_allclose(layers.back, back, atol=2 * step)
+    with pytest.raises(InputError, match="clip planes"):
+        render_gl.read_layers(path, near=5.0)
+    with pytest.raises(InputError, match="no window depths"):
+        other = tmp_path / "eye.exr"
+        render_gl.write_channels(other, {"front.Z": depth, "back.Z": back}, {})
+        render_gl.read_layers(other, near, far)
+
+
+def test_missing_channels_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.exr"
+    render_gl.write_channels(path, {"front.Z": np.ones((2, 2))}, {})
+    with pytest.raises(InputError, match=r"no channel back\.Z"):
+        render_gl.read_layers(path)
