@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ._errors import InputError
 from ._safe import is_host
 from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar
 
@@ -46,6 +47,12 @@ class Layers(eqx.Module):
     """Eye depth that the depths are relative to; float64 on the host."""
     width_unit: Scalar = 1.0
     """Length that widths are divided by: far − near, as in the paper."""
+
+    def __check_init__(self) -> None:
+        if np.shape(self.color) != (4,):
+            raise InputError(
+                f"layers.color: {self.color} must be four numbers [red, green, blue, alpha]"
+            )
 
     @property
     def has_shadow(self) -> bool:

@@ -30,6 +30,8 @@ GOOD = {
     "far": 6.0,
 }
 
+DEPTH = np.zeros((2, 3), np.float32)
+
 
 def camera(**changes: object) -> Camera:
     return Camera(**(GOOD | changes))
@@ -86,6 +88,7 @@ BAD: dict[str, tuple[Callable[[], object], str, str]] = {
     "shadow negative": (lambda: Look(shadow=-0.5), "look.shadow", "-0.5"),
     "tint negative": (lambda: Look(tint=(1.0, -1.0, 1.0)), "look.tint", "-1"),
     "background infinite": (lambda: Look(background=float("inf")), "look.background", "inf"),
+    "layers rgb": (lambda: Layers(DEPTH, DEPTH, color=np.ones(3)), "layers.color", "1"),
     "look of text": (lambda: Look(brightness="bright"), "look", "bright"),
 }
 
@@ -111,8 +114,7 @@ def test_defaults_pass_through_the_converters() -> None:
         np.testing.assert_array_equal(getattr(look, name), info.default)
     assert isinstance(Atmosphere(1.0).color, np.ndarray)
     np.testing.assert_array_equal(Atmosphere(1.0).color, 1.0)
-    zeros = np.zeros((2, 3), np.float32)
-    assert isinstance(Layers(zeros, zeros).color, np.ndarray)
+    assert isinstance(Layers(DEPTH, DEPTH).color, np.ndarray)
     assert isinstance(Sun((1.0, 0.0, 0.0)).angular_radius_deg, np.floating)
 
 
