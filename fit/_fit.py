@@ -98,7 +98,7 @@ def _leave_out(
     reduced = problem.reduced
     why = None
     if not layers.has_shadow:
-        why = "the scene has no sun, so no shadow volume"
+        why = "the layers have no shadow: no sun is given, or no air in view is in shadow"
     elif reduced.count and not reduced.has_dark:
         why = "no pixel used is in shadow"
     elif reduced.count and not reduced.has_lit and "brightness" in names:

@@ -23,8 +23,8 @@ from ._view import View, eye_center, pixel_rays, view_of
 def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
     """Layers of a scene whose planet is a smooth sphere; relief and albedo are not drawn.
 
-    Pure, and usable under `jit`, `vmap` and `grad` with respect to every number of the scene. Called
-    with plain numbers it prepares the view in float64 whatever the dtype; inside a trace the
+    Pure, and usable under `jit`, `vmap` and `grad` with respect to every number of the scene.
+    Called with plain numbers it prepares the view in float64 whatever the dtype; inside a trace the
     preparation has the precision of the traced numbers, so far-away cameras want x64 there.
 
     Args:

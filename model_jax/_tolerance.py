@@ -17,7 +17,6 @@ from ._analytic import trace_view
 from ._combine import layer_widths
 from ._layers import Layers
 from ._scene import Scene
-from ._shapes import Scalar
 from ._view import View, view_of
 
 Range = tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]
@@ -46,6 +45,18 @@ def width_ranges(scene: Scene, inner: float, outer: float) -> tuple[Range, Range
         _, dark_min = widths(outer, -inner, -inner)
         _, dark_max = widths(-inner, outer, outer)
     return (lit_min, lit_max), (dark_min, dark_max)
+
+
+def shadow_in_view(scene: Scene) -> bool:
+    """Whether any pixel's ray runs through shadowed air, from exact geometry in float64.
+
+    A scene without a sun has none. A billionth of a planet radius does not count: it is rounding.
+    """
+    if scene.sun is None:
+        return False
+    with jax.enable_x64(True):
+        _, dark = _widths(view_of(scene).astype(jnp.float64), scene)
+    return bool(np.max(dark) > 1e-9 * float(scene.planet.radius))
 
 
 def _displaced(view: View, ground: float, shell: float, shadow: float) -> View:

@@ -7,8 +7,8 @@
     5 front faces of the shell         → air, and the four depths that the shader saw
 
 Depth formats: "window24", the paper's 24-bit depth textures, and "linear", float32 eye depth
-relative to the planet's centre in a colour attachment. Passes 1 and 2 are left out when the scene
-has no sun. What the combine shader read is written out by the shader itself, so that JAX recombines
+relative to the planet's centre in a colour attachment. Passes 1 and 2 are left out when no air in
+view is in shadow, or the scene has no sun. What the combine shader read is written out by the shader itself, so that JAX recombines
 the very same numbers.
 """
 
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import DriverError, InputError, Look, Scene
+from model_jax import DriverError, InputError, Look, Scene, shadow_in_view
 
 from ._context import gl_context
 from ._maps import load_albedo, load_relief
@@ -50,6 +50,8 @@ class Frame:
     """What it read: front, back, shadow front, shadow back; equal front and back without air."""
     surface: Float[np.ndarray, "h w 4"]
     """Light of the planet, and 1 in alpha where it was drawn."""
+    shadow: bool
+    """Whether the shadow passes were drawn; without them the shadow depths mean nothing."""
 
 
 def draw(scene: Scene, look: Look, depth_format: DepthFormat) -> Frame:
@@ -94,18 +96,19 @@ class _Passes:
         self.scene, self.linear = scene, linear
         self.size = (scene.camera.width, scene.camera.height)
         self.uniforms = uniforms_of(scene, look, linear)
-        self.defines = defines_of(scene, linear)
+        self.shadowed = shadow_in_view(scene)
+        self.defines = defines_of(scene, linear, self.shadowed)
         self.sphere = self._upload(sphere_mesh(scene.planet.triangles))
         self.shell = float(1 + scene.atmosphere.height / scene.planet.radius)
         self.position = np.asarray(scene.camera.position) / float(scene.planet.radius)
 
     def run(self) -> Frame:
         """All passes, and what they left."""
-        textures = self.shadow() if self.scene.sun is not None else {}
+        textures = self.shadow() if self.shadowed else {}
         surface, textures["planet_atmosphere"] = self.planet()
         self.shell_back(textures["planet_atmosphere"])
         air, depths = self.combine(textures)
-        return Frame(_read(air), _read(depths), _read(surface))
+        return Frame(_read(air), _read(depths), _read(surface), self.shadowed)
 
     def shadow(self) -> dict[str, Any]:
         """Passes 1 and 2. A cone is convex: each ray meets one back and one front face at most.

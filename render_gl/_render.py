@@ -18,7 +18,7 @@ def render(scene: Scene, depth_format: DepthFormat = "window24") -> Layers:
 
     Returns:
         float32 layers [h, w] with the planet's mask, and `surface` when the planet has an albedo;
-        no shadow layers when the scene has no sun.
+        no shadow layers when no air in view is in shadow.
 
     Raises:
         DriverError: no usable OpenGL. InputError: what cannot be drawn, by name.
@@ -42,12 +42,11 @@ def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layer
     """The layers whose depths a frame's combine shader read."""
     camera = scene.camera
     front, back, shadow_front, shadow_back = np.moveaxis(frame.depths, -1, 0)
-    lit = scene.sun is not None
     textures = DepthTextures(
         front=front,
         back=back,
-        shadow_front=shadow_front if lit else None,
-        shadow_back=shadow_back if lit else None,
+        shadow_front=shadow_front if frame.shadow else None,
+        shadow_back=shadow_back if frame.shadow else None,
         near=camera.near,
         far=camera.far,
         linear=depth_format == "linear",

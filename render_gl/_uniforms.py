@@ -35,11 +35,11 @@ def uniforms_of(scene: Scene, look: Look, linear: bool) -> dict[str, Any]:
     }
 
 
-def defines_of(scene: Scene, linear: bool) -> frozenset[str]:
-    """The shader switches of a scene: what it does not have is not compiled."""
+def defines_of(scene: Scene, linear: bool, shadowed: bool) -> frozenset[str]:
+    """The shader switches of a scene: what it does not have, or show, is not compiled."""
     wanted = {
         "LINEAR": linear,
-        "SHADOW": scene.sun is not None,
+        "SHADOW": shadowed,
         "SUN": scene.sun is not None,
         "ALBEDO": scene.planet.albedo is not None,
         "RELIEF": scene.planet.relief is not None,

@@ -128,6 +128,18 @@ def test_other_photo_sizes_of_the_same_shape_are_drawn_at_the_photos_size(here: 
     assert json.loads(Path("out/fit.json").read_text())["pixels"]["total"] == 320 * 240
 
 
+def test_sun_behind_the_camera_leaves_the_shadow_out_and_does_not_spoil_the_verdict(here) -> None:
+    text = SCENE.replace("[1.0, -0.3, 0.2]", "[0.0, -20000.0, 6000.0]")
+    Path("front.toml").write_text(text)
+    assert airlight("render", "front.toml", "-o", "front.png") == 0
+    assert airlight("fit", "front.toml", "front.png", "-o", "out") == 0
+    document = json.loads(Path("out/fit.json").read_text())
+    assert [item["what"] for item in document["left_out"]] == ["shadow weight"]
+    assert document["parameters"]["shadow"]["stderr"] is None
+    channels, _ = render_gl.read_channels("out/layers.exr")
+    assert "shadow_front.Z" not in channels
+
+
 # --- bad input: one line, a remedy, exit code 2, nothing lost ----------------------------------
 
 

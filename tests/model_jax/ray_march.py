@@ -8,6 +8,7 @@ point and bisection the two ends. Float64 NumPy throughout.
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -24,43 +25,76 @@ class Widths(NamedTuple):
     dark: np.ndarray
 
 
-def march(scene: Scene, ground: float = 0.0, shell: float = 0.0, shadow: float = 0.0) -> Widths:
-    """Lit and shadowed lengths of air; each body may be swollen by a length (or shrunk, if < 0)."""
-    radius = float(scene.planet.radius)
-    top = radius + float(scene.atmosphere.height)
-    origin, directions = camera_rays(scene)
+class March:
+    """The search of one scene. Deepest points and edges are kept, for they are asked for again."""
 
-    def point(t: np.ndarray) -> np.ndarray:
-        return origin + t[..., None] * directions
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        radius = float(scene.planet.radius)
+        top = radius + float(scene.atmosphere.height)
+        origin, directions = camera_rays(scene)
+        reach = np.linalg.norm(origin) + 2 * top
+        self.size = directions.shape[:-1]
+        self.start, self.end = np.full(self.size, -reach), np.full(self.size, reach)
 
-    def ball(size: float) -> Signed:
-        return lambda t: np.linalg.norm(point(t), axis=-1) - size
+        def point(t: np.ndarray) -> np.ndarray:
+            return origin + t[..., None] * directions
 
-    def umbra(t: np.ndarray) -> np.ndarray:
-        p = point(t)
-        along = p @ scene.sun.direction
-        across = np.linalg.norm(p - along[..., None] * scene.sun.direction, axis=-1)
-        slope = np.tan(np.deg2rad(float(scene.sun.angular_radius_deg)))
-        # Behind the apex `across ≤ radius + slope·along` cannot hold: the function is positive.
-        return np.maximum(across - radius - slope * along, along) - shadow
+        def ball(size: float) -> Signed:
+            return lambda t: np.linalg.norm(point(t), axis=-1) - size
 
-    reach = np.linalg.norm(origin) + 2 * top
-    size = directions.shape[:-1]
-    start, end = np.full(size, -reach), np.full(size, reach)
-    near, far = float(scene.camera.near), float(scene.camera.far)
+        def umbra(t: np.ndarray) -> np.ndarray:
+            p = point(t)
+            along = p @ scene.sun.direction
+            across = np.linalg.norm(p - along[..., None] * scene.sun.direction, axis=-1)
+            slope = np.tan(np.deg2rad(float(scene.sun.angular_radius_deg)))
+            # Behind the apex `across ≤ radius + slope·along` cannot hold: it is positive there.
+            return np.maximum(across - radius - slope * along, along)
 
-    enter, leave = inside(ball(top + shell), start, end)
-    hit_from, hit_to = inside(ball(radius + ground), start, end)
-    hit = (hit_to > hit_from) & (hit_to > near) & (hit_from < far)
-    leave = np.where(hit, np.minimum(leave, hit_from), leave)
-    enter, leave = np.clip(enter, near, far), np.clip(leave, near, far)
-    air = np.maximum(leave - enter, 0)
-    if scene.sun is None:
-        return Widths(air, np.zeros(size))
-    dark_from, dark_to = inside(umbra, start, end)
-    dark_from, dark_to = np.maximum(dark_from, enter), np.minimum(dark_to, leave)
-    dark = np.maximum(dark_to - dark_from, 0)
-    return Widths(air - dark, dark)
+        self.bodies = {"shell": ball(top), "ground": ball(radius), "shadow": umbra}
+        self.inside = cache(self._inside)
+        self._deepest = cache(lambda body: deepest(self.bodies[body], self.start, self.end))
+
+    def widths(self, ground: float = 0.0, shell: float = 0.0, shadow: float = 0.0) -> Widths:
+        """Lit and shadowed lengths of air; bodies may be swollen by a length (shrunk, if < 0)."""
+        near, far = float(self.scene.camera.near), float(self.scene.camera.far)
+        enter, leave = self.inside("shell", shell)
+        hit_from, hit_to = self.inside("ground", ground)
+        hit = (hit_to > hit_from) & (hit_to > near) & (hit_from < far)
+        leave = np.where(hit, np.minimum(leave, hit_from), leave)
+        enter, leave = np.clip(enter, near, far), np.clip(leave, near, far)
+        air = np.maximum(leave - enter, 0)
+        if self.scene.sun is None:
+            return Widths(air, np.zeros(self.size))
+        dark_from, dark_to = self.inside("shadow", shadow)
+        dark = np.maximum(np.minimum(dark_to, leave) - np.maximum(dark_from, enter), 0)
+        return Widths(air - dark, dark)
+
+    def _inside(self, body: str, swollen: float) -> tuple[np.ndarray, np.ndarray]:
+        """Where each ray enters and leaves a body; of zero length where it does neither."""
+        signed, middle = self.bodies[body], self._deepest(body)
+        met = signed(middle) <= swollen
+
+        def edge(outer: np.ndarray) -> np.ndarray:
+            outside, within = outer, middle
+            for _ in range(56):  # 2^-56 of the span, below its rounding
+                half = (outside + within) / 2
+                here = signed(half) <= swollen
+                outside, within = np.where(here, outside, half), np.where(here, half, within)
+            found = np.where(signed(outer) <= swollen, outer, (outside + within) / 2)
+            return np.where(met, found, middle)
+
+        return edge(self.start), edge(self.end)
+
+
+def deepest(signed: Signed, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Where a convex function is least, by ternary search."""
+    for _ in range(90):  # (2/3)^90 = 1e-16 of the span
+        third = (high - low) / 3
+        left_lower = signed(low + third) < signed(high - third)
+        low = np.where(left_lower, low, low + third)
+        high = np.where(left_lower, high - third, high)
+    return (low + high) / 2
 
 
 def camera_rays(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -75,27 +109,3 @@ def camera_rays(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     x = across[None, :, None] * top * camera.width / camera.height
     y = -down[:, None, None] * top
     return np.asarray(camera.position), camera.forward + x * right + y * up
-
-
-def inside(signed: Signed, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where a convex function is ≤ 0 between start and end; of zero length where nowhere."""
-    low, high = start, end
-    for _ in range(90):  # (2/3)^90 = 1e-16 of the span
-        third = (high - low) / 3
-        left_lower = signed(low + third) < signed(high - third)
-        low = np.where(left_lower, low, low + third)
-        high = np.where(left_lower, high - third, high)
-    deepest = (low + high) / 2
-    met = signed(deepest) <= 0
-
-    def bisect(outer: np.ndarray) -> np.ndarray:
-        out, within = outer, deepest
-        for _ in range(56):  # 2^-56 of the span, below its rounding
-            middle = (out + within) / 2
-            here = signed(middle) <= 0
-            out, within = np.where(here, out, middle), np.where(here, middle, within)
-        edge = (out + within) / 2
-        return np.where(signed(outer) <= 0, outer, edge)
-
-    first, last = bisect(start), bisect(end)
-    return np.where(met, first, deepest), np.where(met, last, deepest)

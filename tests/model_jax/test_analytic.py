@@ -1,10 +1,12 @@
 """Exact layers against a search along every ray, and what they promise besides the widths."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ray_march import march
+from ray_march import March
 from scenes import PLACES, SCENES, scene_of
 
 from model_jax import InputError, Scene, analytic_layers, eye_center, layer_widths, limb_height
@@ -21,6 +23,11 @@ def lengths(scene: Scene, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     unit = float(layers.width_unit)
     lit = np.asarray(lit, np.float64) * unit
     return lit, np.zeros_like(lit) if dark is None else np.asarray(dark, np.float64) * unit
+
+
+@cache
+def march_of(name: str) -> March:
+    return March(SCENES[name])
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -42,11 +49,12 @@ def test_widths_equal_a_march_along_the_rays(name: str, dtype: np.dtype) -> None
     # Depths, clip planes included, are stored to half an ulp and subtracted in pairs.
     slack = 4 * stretch * (eps * size + eps64 * distance)
     lit, dark = lengths(scene, dtype)
-    least = march(scene, ground=move, shell=-move, shadow=move)
-    most = march(scene, ground=-move, shell=move, shadow=-move)
+    march = march_of(name)
+    least = march.widths(ground=move, shell=-move, shadow=move)
+    most = march.widths(ground=-move, shell=move, shadow=-move)
     assert_between(lit, least.lit, most.lit, slack, "lit")
-    least = march(scene, ground=move, shell=-move, shadow=-move)
-    most = march(scene, ground=-move, shell=move, shadow=move)
+    least = march.widths(ground=move, shell=-move, shadow=-move)
+    most = march.widths(ground=-move, shell=move, shadow=move)
     assert_between(dark, least.dark, most.dark, slack, "dark")
 
 

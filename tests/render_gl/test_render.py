@@ -17,6 +17,7 @@ from model_jax import (
     analytic_layers,
     combine,
     composite,
+    layer_widths,
 )
 from render_gl import _context
 from render_gl._uniforms import relief_scale
@@ -29,6 +30,23 @@ def test_layers_of_a_scene_without_sun_have_no_shadow() -> None:
     assert layers.shadow_front is None
     assert layers.shadow_back is None
     assert layers.surface is None
+
+
+def test_shadow_passes_are_left_out_when_no_air_in_view_is_in_shadow(monkeypatch) -> None:
+    """From the sun's side the planet hides its shadow: the layers are the same without it."""
+    case = SCENES["sun behind camera"]
+    pruned = render_gl.render(case, "linear")
+    assert pruned.shadow_front is None
+    assert render_gl.render(SCENES["sun (1, -1, 1)"]).shadow_front is not None
+    monkeypatch.setattr(render_gl._draw, "shadow_in_view", lambda scene: True)
+    full = render_gl.render(case, "linear")
+    assert full.shadow_front is not None
+    np.testing.assert_array_equal(pruned.front, full.front)
+    np.testing.assert_array_equal(pruned.back, full.back)
+    _, dark = layer_widths(full)
+    # What the full passes find is the meshes' deviation from the sphere, 5e-5 radii, seen at a
+    # tangent: 2 √(2 · 5e-5) radii at most.
+    assert float(np.max(dark)) * float(full.width_unit) <= 2 * np.sqrt(2 * 5e-5) * 6371
 
 
 def test_image_is_the_right_way_up() -> None:
@@ -166,9 +184,9 @@ def test_window_depths_of_another_renderer(tmp_path: Path) -> None:
     np.testing.assert_allclose(layers.back, back, atol=2 * step)
     with pytest.raises(InputError, match="clip planes"):
         render_gl.read_layers(path, near=5.0)
+    other = tmp_path / "eye.exr"
+    render_gl.write_channels(other, {"front.Z": depth, "back.Z": back}, {})
     with pytest.raises(InputError, match="no window depths"):
-        other = tmp_path / "eye.exr"
-        render_gl.write_channels(other, {"front.Z": depth, "back.Z": back}, {})
         render_gl.read_layers(other, near, far)
 
 
