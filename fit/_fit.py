@@ -31,6 +31,10 @@ from ._result import VERDICTS, Estimate, FitResult, LeftOut, Verdict
 from ._search import End, search
 from ._solve import CHECK, Problem, coefficient_slopes, jacobian, make_solver
 
+WELL_EXPLAINED = 0.9
+"""Below this share of the variance the message points at the residual picture: a tenth of the light
+left over is visible to the eye in it."""
+
 
 def fit(
     photo: Photo | Float[np.ndarray | jax.Array, "h w 3"],
@@ -292,6 +296,11 @@ def _message(verdict: Verdict, explained: float | None, end: End, left_out: list
     if left_out:
         sentence += f"; left out: {', '.join(item.what for item in left_out)}"
     errors = "Standard errors take the pixels' residuals as independent."
+    if explained is not None and explained < WELL_EXPLAINED:
+        errors += (
+            " Look at what is left over: where it has structure, this look cannot follow the photo "
+            "and the true errors are larger."
+        )
     return f"{sentence}. " + (f"To do: {remedy}. " if remedy else "") + errors
 
 

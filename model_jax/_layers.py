@@ -105,7 +105,9 @@ def depth_constants(near: Scalar, far: Scalar) -> tuple[Scalar, Scalar]:
 def linearize_depth(
     window: Float[AnyArray, "*shape"], near: Scalar, far: Scalar
 ) -> Float[AnyArray, "*shape"]:
-    """Eye depth of a window depth: `z = b / (window - a)` (the paper, "Depth Buffer Linearization").
+    """Eye depth of a window depth: `z = b / (window - a)`.
+
+    The paper, "Depth Buffer Linearization".
 
     Args:
         window: depth-buffer values in [0, 1], any shape; near plane = 0, far plane = 1.

@@ -8,8 +8,8 @@
 
 Depth formats: "window24", the paper's 24-bit depth textures, and "linear", float32 eye depth
 relative to the planet's centre in a colour attachment. Passes 1 and 2 are left out when no air in
-view is in shadow, or the scene has no sun. What the combine shader read is written out by the shader itself, so that JAX recombines
-the very same numbers.
+view is in shadow, or the scene has no sun. What the combine shader read is written out by the
+shader itself, so that JAX recombines the very same numbers.
 """
 
 from dataclasses import dataclass
