@@ -2,8 +2,8 @@
 
 Lengths are in planet radii; vectors are in eye axes (right, up, forward). A pixel's ray is
 `m + τ·d` with `d = (x, y, 1)`: the parameter τ is eye depth relative to the planet's centre, and
-`m` is the ray's point in the image-parallel plane through that centre, so `m = (mx, my, 0)`. Both x
-and mx are affine in the pixel index; the constants of `mx` are taken at the integer pixel nearest
+`m` is the ray's point in the image-parallel plane through that centre, so `m = (mx, my, 0)`. Both
+x and mx are affine in the pixel index; the constants of `mx` are taken at the integer pixel nearest
 to the planet's centre, where nothing cancels, so that a camera 232 radii away loses no more digits
 than a near one.
 """

@@ -282,7 +282,10 @@ def test_without_sun_the_shadow_weight_is_left_out() -> None:
     result = fit(picture(layers, TRUTH), layers, START)
     assert result.verdict == "converged"
     assert [(item.what, item.why) for item in result.left_out] == [
-        ("shadow weight", "the scene has no sun, so no shadow volume")
+        (
+            "shadow weight",
+            "the layers have no shadow: no sun is given, or no air in view is in shadow",
+        )
     ]
     shadow = result.parameters["shadow"]
     assert (shadow.value, shadow.stderr, shadow.free) == (0.5, None, False)
