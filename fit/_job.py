@@ -159,6 +159,7 @@ def _document(
     job: Job, photo: Photo, scene: Scene | None, result: FitResult, seconds: dict[str, float]
 ) -> dict[str, Any]:
     """The contents of fit.json, schema 1."""
+    drawn = scene is not None and job.source == "raster"
     return {
         "schema": 1,
         "scene": job.scene,
@@ -169,7 +170,7 @@ def _document(
         "tone_curve": photo.tone_curve.describe(),
         **result.to_dict(),
         "seconds": seconds,
-        "versions": versions(),
+        "versions": versions() | ({"OpenGL": render_gl.renderer_name()} if drawn else {}),
         "command": job.command,
     }
 

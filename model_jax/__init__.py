@@ -27,6 +27,7 @@ from ._scene import Occluder as Occluder
 from ._scene import Planet as Planet
 from ._scene import Scene as Scene
 from ._scene import Sun as Sun
+from ._scene import refuse_occluders as refuse_occluders
 from ._tolerance import shadow_in_view as shadow_in_view
 from ._tolerance import width_ranges as width_ranges
 from ._tone import Exposure as Exposure

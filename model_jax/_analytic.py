@@ -15,7 +15,7 @@ from jaxtyping import Float
 from ._errors import InputError
 from ._intersect import ray_cone, ray_sphere, squared_miss_distance
 from ._layers import Layers
-from ._scene import Scene
+from ._scene import Scene, refuse_occluders
 from ._shapes import AnyArray
 from ._view import View, eye_center, pixel_rays, view_of
 
@@ -43,6 +43,7 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
             "analytic_layers: dtype float64 while JAX has 64-bit numbers switched off; "
             'call jax.config.update("jax_enable_x64", True) first'
         )
+    refuse_occluders(scene)
     camera, radius = scene.camera, scene.planet.radius
     depths = trace_view(view_of(scene).astype(dtype), camera.height, camera.width)
     scale = jnp.asarray(radius, dtype)

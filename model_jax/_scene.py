@@ -226,6 +226,18 @@ class Scene(eqx.Module):
             )
 
 
+def refuse_occluders(scene: Scene) -> None:
+    """`InputError` for a scene whose occluders would be left out of its layers without a word.
+
+    `Layers` holds one shadow per ray, the planet's; the union of several is still to come.
+    """
+    if scene.occluders:
+        raise InputError(
+            f"occluder: {len(scene.occluders)} given, but shadows of further bodies are not drawn "
+            "yet; remove [[occluder]]"
+        )
+
+
 def _require(name: str, value: Scalar, ok: object, rule: str) -> None:
     if _traced(value) or _traced(ok):
         return

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import DriverError, InputError, Look, Scene, shadow_in_view
+from model_jax import DriverError, InputError, Look, Scene, refuse_occluders, shadow_in_view
 
 from ._context import gl_context
 from ._maps import load_albedo, load_relief
@@ -62,11 +62,7 @@ def draw(scene: Scene, look: Look, depth_format: DepthFormat) -> Frame:
     """
     if depth_format not in DEPTH_FORMATS:
         raise InputError(f"depth format {depth_format!r} is unknown; use one of {DEPTH_FORMATS}")
-    if scene.occluders:
-        raise InputError(
-            f"occluder: {len(scene.occluders)} given, but shadows of further bodies are not drawn "
-            "yet; remove [[occluder]]"
-        )
+    refuse_occluders(scene)
     context = gl_context()
     _check_size(context, "camera", scene.camera.width, scene.camera.height)
     try:

@@ -124,6 +124,8 @@ def test_occluders_are_refused_by_name() -> None:
     case = Scene(bare.camera, bare.planet, bare.atmosphere, bare.sun, moon)
     with pytest.raises(InputError, match="occluder: 1 given"):
         render_gl.render(case)
+    with pytest.raises(InputError, match="occluder: 1 given"):
+        analytic_layers(case)
 
 
 def test_too_large_pictures_are_refused() -> None:
