@@ -24,9 +24,11 @@ from model_jax import AirlightError, InputError, Layers, Look, Scene, Srgb, comp
 from ._job import Job, make_layers, run_job, versions
 from ._terminal import print_check, print_fit
 
+# Typer shows the whole usage for a wrong option; its exception's text alone is one line.
+UsageError: Any = typer.BadParameter.__base__
+
 app = typer.Typer(
     add_completion=False,
-    no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Render a planet's atmosphere as depth layers, and fit its look to photos.",
@@ -57,14 +59,18 @@ Depth = Annotated[DepthOption, typer.Option(help="Depth format of the passes.")]
 
 def main() -> None:
     """Entry point of the console script: errors in one line, no traceback for a user's mistake."""
-    jax.config.update("jax_enable_x64", True)
+    if len(sys.argv) == 1:
+        sys.argv.append("--help")
     try:
-        app()
-    except AirlightError as error:
-        line = " ".join(str(error).split())
-        print(f"airlight: {line}", file=sys.stderr)
+        with jax.enable_x64(True):
+            app(standalone_mode=False)
+    except (AirlightError, UsageError) as error:
+        line = str(error)
+        if isinstance(error, UsageError):
+            line = f"{error.format_message()} See `{' '.join(['airlight', *_command()])} --help`."
+        print(f"airlight: {' '.join(line.split())}", file=sys.stderr)
         raise SystemExit(2) from None
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort):
         print("airlight: stopped", file=sys.stderr)
         raise SystemExit(130) from None
 
@@ -218,6 +224,11 @@ def version(as_json: JsonOption = False) -> None:
     _say(
         as_json, facts, "\n".join([*lines, f"{'JAX devices':12} {', '.join(facts['JAX devices'])}"])
     )
+
+
+def _command() -> list[str]:
+    """The subcommand on the command line, if there is one."""
+    return [word for word in sys.argv[1:2] if word in ("render", "fit", "check", "version")]
 
 
 def _picture(

@@ -23,7 +23,7 @@ from typing import IO
 
 import numpy as np
 import OpenEXR
-from jaxtyping import Float
+from jaxtyping import Float, Num
 
 from model_jax._errors import InputError
 
@@ -104,8 +104,8 @@ def read_channels(
 
 def write_channels(
     path: PathLike,
-    channels: Mapping[str, Float[np.ndarray, "h w"]],
-    attributes: Mapping[str, str | int | float | tuple[float, ...]],
+    channels: Mapping[str, Num[np.ndarray, "h w"]],
+    attributes: Mapping[str, object],
 ) -> None:
     """Write channels of one shape as float32, ZIP-compressed; the file appears whole or not at all.
 

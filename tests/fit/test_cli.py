@@ -297,5 +297,20 @@ def test_console_script_is_installed() -> None:
     assert "OpenGL" in done.stdout
 
 
-def test_unknown_option_is_a_usage_error() -> None:
-    assert airlight("fit", "--frobnicate") == 2
+@pytest.mark.parametrize(
+    "words", [("fit", "--frobnicate"), ("fit", "a", "b"), ("paint",), ("check",)]
+)
+def test_usage_errors_are_one_line_that_points_at_the_help(capsys, words) -> None:
+    assert "--help" in refused(capsys, *words)
+
+
+def test_without_arguments_the_help_is_shown(capsys) -> None:
+    assert airlight() == 0
+    assert "Commands" in capsys.readouterr().out
+
+
+def test_the_command_line_leaves_jax_as_it_was(here: Path) -> None:
+    import jax
+
+    assert airlight("fit", "scene.toml", "photo.png", "-o", "out") == 0
+    assert not jax.config.jax_enable_x64

@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ray_march import March
-from scenes import PLACES, SCENES, scene_of
 
 from model_jax import InputError, Scene, analytic_layers, eye_center, layer_widths, limb_height
+
+from .ray_march import March
+from .scenes import PLACES, SCENES, scene_of
 
 STEPS = 16
 """Rounded operations between a ray's pixel index and the squared distances compared with radii²:

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import SCENES, scene_of
 
 from model_jax import (
     Atmosphere,
@@ -29,6 +28,8 @@ from model_jax import (
     composite,
     layer_widths,
 )
+
+from .scenes import SCENES, scene_of
 
 RELATIVE = 1e-6
 STEP = 1e-3

@@ -5,9 +5,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import OCTANTS
 
 from model_jax import Layers, Look, Scene, analytic_layers, combine, layer_widths
+
+from .scenes import OCTANTS
 
 SCENE_LIST = list(OCTANTS.values())[:3]
 
