@@ -4,6 +4,7 @@ import importlib.util
 import json
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
@@ -81,8 +82,6 @@ def test_reference_picture_is_what_its_script_makes() -> None:
     """The committed picture, averaged to 36×27 blocks, against a coarse march of the same scene."""
     march = example("march_reference")
     photo = load_photo(EXAMPLES / "reference.png")
-    import tomllib
-
     scene = tomllib.loads((EXAMPLES / "reference.toml").read_text())
     coarse = march.EXPOSURE * march.march(scene, 144, 108, 24)
     blocks = photo.linear.reshape(108, 5, 144, 5, 3).mean(axis=(1, 3))
@@ -99,31 +98,25 @@ def test_reference_fit(tmp_path: Path) -> None:
     assert (EXAMPLES / "reference.png").stat().st_size < 1_000_000
 
 
-def test_epic_disc_lies_on_the_photos_limb() -> None:
+def test_epic_disc_lies_on_the_photos_limb(data_dir: Path) -> None:
     scenes = example("make_photo_scenes")
-    photo = scenes.data_folder() / scenes.EPIC_PHOTO
-    if not photo.exists():
-        pytest.skip(f"no {photo}")
+    photo = data_dir / scenes.EPIC_PHOTO
     assert scenes.limb_rms(EXAMPLES / "epic.toml", photo) < scenes.THRESHOLD_PX == 1.0
     for shift in ((2, 0), (0, 2), (-2, 0), (0, -2)):
         assert scenes.limb_rms(EXAMPLES / "epic.toml", photo, shift) > scenes.THRESHOLD_PX
 
 
-def test_epic_fit(tmp_path: Path) -> None:
+def test_epic_fit(tmp_path: Path, data_dir: Path) -> None:
     scenes = example("make_photo_scenes")
-    photo = scenes.data_folder() / scenes.EPIC_PHOTO
-    if not photo.exists():
-        pytest.skip(f"no {photo}")
+    photo = data_dir / scenes.EPIC_PHOTO
     document = run("epic.toml", photo, tmp_path)
     assert document["verdict"] == "converged"
     assert document["parameters"]["shadow"]["stderr"] > 0
 
 
-def test_iss_photo_does_not_tell_the_shadow_weight(tmp_path: Path) -> None:
+def test_iss_photo_does_not_tell_the_shadow_weight(tmp_path: Path, data_dir: Path) -> None:
     scenes = example("make_photo_scenes")
-    photo = scenes.data_folder() / scenes.ISS_PHOTO
-    if not photo.exists():
-        pytest.skip(f"no {photo}")
+    photo = data_dir / scenes.ISS_PHOTO
     assert scenes.limb_rms(EXAMPLES / "iss.toml", photo) < scenes.THRESHOLD_PX
     document = run("iss.toml", photo, tmp_path)
     shadow = document["parameters"]["shadow"]
