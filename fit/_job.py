@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 import render_gl
 from model_jax import (
@@ -25,6 +25,7 @@ from model_jax import (
     Scene,
     analytic_layers,
     composite,
+    layer_widths,
     limb_height,
 )
 
@@ -104,6 +105,7 @@ def run_job(
         limb_height(scene) if scene is not None else None,
         photo.tone_curve,
         job.command,
+        shadowed=_shadowed(layers),
     )
     render_gl.write_whole(folder / "report.html", lambda path: _write_text(path, page))
     render_gl.write_layers(folder / "layers.exr", layers, scene)
@@ -173,6 +175,12 @@ def _document(
         "versions": versions() | ({"OpenGL": render_gl.renderer_name()} if drawn else {}),
         "command": job.command,
     }
+
+
+def _shadowed(layers: Layers) -> Bool[np.ndarray, "h w"] | None:
+    """Where most of the ray's air is in shadow; None without shadow layers."""
+    lit, dark = layer_widths(layers)
+    return None if dark is None else np.asarray(dark > lit)
 
 
 def _residual_channels(

@@ -128,7 +128,9 @@ def _facts(document: dict[str, Any]) -> list[tuple[str, str]]:
     facts = [("residual rms", number(document.get("residual_rms"), 3))]
     explained = document.get("explained")
     if explained is not None:
-        facts.append(("variance explained", f"{100 * explained:.2f} %".replace("-", "−")))
+        # Rounded down, as in the message: nothing short of all is 100 %.
+        share = math.floor(explained * 1e4) / 100
+        facts.append(("variance explained", f"{share:.4g} %".replace("-", "−")))
     facts.append(("pixels used", _count(pixels.get("used", 0))))
     free = [e for e in (document.get("parameters") or {}).values() if e.get("free")]
     facts.append(("numbers fitted", str(len(free))))

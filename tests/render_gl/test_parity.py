@@ -77,6 +77,10 @@ def test_glsl_and_jax_agree(case: Scene, depth_format: str, tmp_path) -> None:
             render_gl.write_picture(tmp_path / f"{name}.exr", getattr(parity, name))
     assert parity.passed, (parity.summary(), tmp_path)
     assert np.max(parity.glsl) > 0  # comparing black with black would be no test
+    if parity.division_ulp == 0:
+        # Depths divided exactly (llvmpipe on most processors) leave the colour's 11 roundings of
+        # 1.2e-7. A driver that is up to 3 ulp off per depth needs z_max / width_max < 8 for this.
+        assert parity.summary()["bound_relative"] <= 1e-5
 
 
 @pytest.mark.parametrize("case", SCENES.values(), ids=SCENES.keys())
