@@ -21,7 +21,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 import render_gl
 from model_jax import AirlightError, InputError, Layers, Look, Scene, Srgb, composite
 
-from ._job import Job, make_layers, run_job, versions
+from ._job import Job, make_layers, prepare_folder, run_job, versions
 from ._terminal import print_check, print_fit
 
 # Typer shows the whole usage for a wrong option; its exception's text alone is one line.
@@ -67,7 +67,8 @@ def main() -> None:
     except (AirlightError, UsageError) as error:
         line = str(error)
         if isinstance(error, UsageError):
-            line = f"{error.format_message()} See `{' '.join(['airlight', *_command()])} --help`."
+            text = error.format_message().replace("Value error, ", "").rstrip(".")
+            line = f"{text}. See `{' '.join(['airlight', *_command()])} --help`."
         print(f"airlight: {' '.join(line.split())}", file=sys.stderr)
         raise SystemExit(2) from None
     except (KeyboardInterrupt, typer.Abort):
@@ -186,15 +187,11 @@ def check(
 ) -> None:
     """Hold the OpenGL picture against JAX on the same layers, and the layers against exact ones."""
     file = render_gl.load_scene(scene)
-    folder = Path(out) if out is not None else Path(f"{file.path.stem}-check")
+    folder = prepare_folder(out if out is not None else f"{file.path.stem}-check")
     with _steps() as step:
         step("drawing and comparing")
         found = render_gl.check_scene(file.scene, file.look, depth.value)
         step("writing")
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be made ({error.strerror}); use -o") from None
         for name, picture in (
             ("glsl", found.parity.glsl),
             ("jax", found.parity.jax),
@@ -202,7 +199,7 @@ def check(
         ):
             render_gl.write_picture(folder / f"{name}.exr", picture, file.scene)
     if as_json:
-        print(json.dumps(found.summary() | {"out": str(folder)}))
+        print(json.dumps(found.summary() | {"out": str(folder)}, allow_nan=False))
     else:
         print_check(Console(), found.summary(), scene, depth.value, str(folder))
     if not found.passed:
@@ -272,7 +269,9 @@ def _tone_curve(text: str | None) -> Any:
 def _steps() -> Iterator[Any]:
     """A progress line on standard error that names the step; gone when done."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    quiet = not console.is_terminal  # a pipe or a log would get stray blank lines
+    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
         task = progress.add_task("starting", total=None)
         yield lambda text: progress.update(task, description=text)
 

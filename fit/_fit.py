@@ -27,13 +27,9 @@ from ._parameters import (
 from ._photo import Photo
 from ._pixels import Pixels, as_picture, choose_pixels
 from ._reduce import Reduced, reduce_pixels, worst_bias
-from ._result import VERDICTS, Estimate, FitResult, LeftOut, Verdict
+from ._result import VERDICTS, WELL_EXPLAINED, Estimate, FitResult, LeftOut, Verdict
 from ._search import End, search
 from ._solve import CHECK, Problem, coefficient_slopes, jacobian, make_solver
-
-WELL_EXPLAINED = 0.9
-"""Below this share of the variance the message points at the residual picture: a tenth of the light
-left over is visible to the eye in it."""
 
 
 def fit(
@@ -102,7 +98,7 @@ def _leave_out(
     reduced = problem.reduced
     why = None
     if not layers.has_shadow:
-        why = "the layers have no shadow: no sun is given, or no air in view is in shadow"
+        why = "the layers hold no shadow: no sun is given, or no air in view is in shadow"
     elif reduced.count and not reduced.has_dark:
         why = "no pixel used is in shadow"
     elif reduced.count and not reduced.has_lit and "brightness" in names:
@@ -191,9 +187,14 @@ def _judge(
     total = reduced.variation
     explained = 1 - square_sum / total if total > 0 and end.finite else None
     left_out = left_out + [LeftOut(p.name, why) for p, why in end.untold]
+    sinks = any(
+        e.stderr is not None and e.value + 3 * e.stderr < 0
+        for name, e in estimates.items()
+        if name.startswith("background")
+    )
     return FitResult(
         verdict=verdict.label,
-        message=_message(verdict, explained, end, left_out),
+        message=_message(verdict, explained, end, left_out, sinks),
         parameters=estimates,
         correlation_names=tuple(p.name for p in told),
         correlation=correlation,
@@ -286,7 +287,9 @@ def _without_data(
     )
 
 
-def _message(verdict: Verdict, explained: float | None, end: End, left_out: list[LeftOut]) -> str:
+def _message(
+    verdict: Verdict, explained: float | None, end: End, left_out: list[LeftOut], sinks: bool
+) -> str:
     sentence, remedy = VERDICTS[verdict]
     if end.at_bound:
         sentence += f" ({', '.join(p.name for p in end.at_bound)})"
@@ -301,6 +304,8 @@ def _message(verdict: Verdict, explained: float | None, end: End, left_out: list
             " Look at what is left over: where it has structure, this look cannot follow the photo "
             "and the true errors are larger."
         )
+    if sinks:
+        errors += " The background came out negative: the model takes light away."
     return f"{sentence}. " + (f"To do: {remedy}. " if remedy else "") + errors
 
 

@@ -74,7 +74,7 @@ def run_job(
     Raises `InputError` or `DriverError`; each file appears whole or not at all, and fit.json last,
     so that its presence means that all are there.
     """
-    folder = _prepare_folder(out)
+    folder = prepare_folder(out)
     progress("reading the photo")
     file = render_gl.load_scene(job.scene) if job.scene is not None else None
     photo = _load(job, file)
@@ -107,6 +107,8 @@ def run_job(
         job.command,
         shadowed=_shadowed(layers),
     )
+    # An earlier fit.json would vouch for files that are now replaced one by one.
+    (folder / "fit.json").unlink(missing_ok=True)
     render_gl.write_whole(folder / "report.html", lambda path: _write_text(path, page))
     render_gl.write_layers(folder / "layers.exr", layers, scene)
     render_gl.write_picture(folder / "image.exr", picture, scene)
@@ -133,9 +135,11 @@ def versions() -> dict[str, str]:
 
 
 def _load(job: Job, file: render_gl.SceneFile | None) -> Photo:
+    """The photo; a scene's [photo] table speaks of the scene's own photo, of no other."""
     curve: object = job.tone_curve
     mask = job.mask
-    if file is not None:
+    own = file is not None and file.photo.path is not None
+    if file is not None and own and Path(job.photo).resolve() == Path(str(file.photo.path)):
         curve = curve if curve is not None else file.photo.tone_curve
         mask = mask if mask is not None else file.photo.mask
     return load_photo(job.photo, curve, mask)
@@ -192,7 +196,7 @@ def _residual_channels(
     return channels | {"used.Y": result.used.astype(np.float32)}
 
 
-def _prepare_folder(out: str) -> Path:
+def prepare_folder(out: str) -> Path:
     """The folder, made if need be; an unwritable one is found out before the work, not after."""
     folder = Path(out)
     try:

@@ -16,6 +16,7 @@ from model_jax import ToneCurve
 from model_jax._shapes import Depth, Mask, Rgb
 
 from . import _pictures as pictures
+from ._result import WELL_EXPLAINED
 
 TONES = {
     "converged": ("good", "Converged"),
@@ -65,6 +66,9 @@ def report_html(
     shade = None if shadowed is None else np.asarray(shadowed)
     verdict = str(document.get("verdict"))
     tone, heading = TONES.get(verdict, ("warn", verdict))
+    explained = document.get("explained")
+    if tone == "good" and explained is not None and explained < WELL_EXPLAINED:
+        tone = "warn"  # the numbers are the best ones, of a look that does not fit
     environment = Environment(
         loader=PackageLoader("fit", "templates"),
         autoescape=True,

@@ -57,6 +57,11 @@ VERDICTS: dict[Verdict, tuple[str, str]] = {
 """Sentence and remedy of each verdict, without full stops."""
 
 
+WELL_EXPLAINED = 0.9
+"""Below this share of the variance the message points at the residual picture: a tenth of the light
+left over is visible to the eye in it."""
+
+
 @dataclass(frozen=True)
 class Estimate:
     """One number of a look after the fit."""

@@ -1,15 +1,21 @@
 """What the commands print for people: the fit and the check as tables."""
 
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from ._result import WELL_EXPLAINED
+
 
 def print_fit(console: Console, document: dict[str, Any], out: str) -> None:
     """The result of a fit from its fit.json document."""
-    good = document["verdict"] == "converged"
-    style = "green" if good else "yellow" if document["verdict"] == "at_bound" else "red"
+    explained = document.get("explained")
+    doubtful = explained is not None and explained < WELL_EXPLAINED
+    style = {"converged": "yellow" if doubtful else "green", "at_bound": "yellow"}.get(
+        document["verdict"], "red"
+    )
     console.print(document["verdict"], style=f"bold {style}", end="  ")
     console.print(document["message"], markup=False, highlight=False)
     table = Table(box=None, pad_edge=False, header_style="dim")
@@ -28,16 +34,16 @@ def print_fit(console: Console, document: dict[str, Any], out: str) -> None:
         )
     console.print(table)
     pixels = document["pixels"]
-    console.print(
-        f"{pixels['used']:,} of {pixels['total']:,} pixels, "
-        f"residual rms {_number(document['residual_rms'])} in linear light",
-        highlight=False,
-    )
+    facts = f"{pixels['used']:,} of {pixels['total']:,} pixels"
+    if document["residual_rms"] is not None:
+        facts += f", residual rms {_number(document['residual_rms'])} in linear light"
+    console.print(f"{facts}, tone curve {document['tone_curve']}", highlight=False)
     for item in document["left_out"]:
         console.print(f"left out: {item['what']}, because {item['why']}", markup=False)
     seconds = ", ".join(f"{name} {value:.2f} s" for name, value in document["seconds"].items())
     console.print(seconds, style="dim", highlight=False)
-    console.print(f"{out}/report.html", markup=False, highlight=False)
+    report = str(Path(out) / "report.html")
+    console.print(report, markup=False, highlight=False, soft_wrap=True)
 
 
 def print_check(
@@ -85,11 +91,13 @@ def print_check(
     console.print(table)
     console.print(
         "predicted from tessellation, pixel grid, float32 transform and depth format; "
-        f"{accuracy['outside']} widths outside",
+        f"{accuracy['outside']} widths outside; {accuracy['edges']} pixels on a silhouette, where "
+        "only the widest chord bounds the error",
         style="dim",
         highlight=False,
     )
-    console.print(f"{folder}/glsl.exr, jax.exr, difference.exr", markup=False, highlight=False)
+    files = f"{folder}/glsl.exr, jax.exr, difference.exr"
+    console.print(files, markup=False, highlight=False, soft_wrap=True)
 
 
 def _verdict(console: Console, passed: bool, text: str) -> None:

@@ -70,8 +70,9 @@ def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
 
     in_shell, (front, back) = ray_sphere(x, y, mx, my, view.shell)
     cut, (ground, behind) = ray_sphere(x, y, mx, my, view.planet)
-    # The planet ends the ray where it is met at or beyond the near plane.
-    hit = cut & (behind > view.near) & (ground < view.far)
+    # The planet ends the ray wherever it is in front of the camera: the clip planes limit depths
+    # (they are clamped, as by the rasteriser), not what is there.
+    hit = cut & (behind > view.camera)
     front, back = clamp(front), clamp(jnp.where(hit, ground, back))
     air = in_shell & (back > front)
     empty = jnp.broadcast_to(view.far, air.shape)

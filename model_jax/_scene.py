@@ -23,6 +23,11 @@ EARTH_SUN_ANGULAR_RADIUS_DEG = 0.2666
 """Mean angular radius of the Sun from 1 au: 695,700 km / 149,597,871 km (IAU 2015 B3, 2012 B2)."""
 
 
+MAX_PIXELS = 2**26
+"""Largest picture, 67 million pixels: drawing keeps up to 14 float32 textures' worth of each pixel
+on the device and the host, 8 GB then, and beyond the allocator aborts instead of raising."""
+
+
 def _number(value: object) -> Scalar:
     """Float64 on the host; JAX arrays and tracers stay what they are."""
     return value if isinstance(value, jax.Array) else _host(value)[()]
@@ -88,6 +93,11 @@ class Camera(eqx.Module):
             if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= 65536:
                 raise InputError(f"camera.{name}: {size!r} must be a whole number, 1 to 65536")
         fov = self.fov_y_deg
+        if self.width * self.height > MAX_PIXELS:
+            raise InputError(
+                f"camera.width × camera.height: {self.width}×{self.height} are more than "
+                f"{MAX_PIXELS:,} pixels; make the picture smaller"
+            )
         _require("camera.fov_y_deg", fov, (fov > 0) & (fov < 180), "between 0 and 180")
         _require("camera.near", self.near, self.near > 0, "above 0")
         _require("camera.far", self.far, self.far > self.near, f"above camera.near ({self.near})")

@@ -43,6 +43,8 @@ class View(eqx.Module):
     """Column and row index (whole numbers) at which `offset` is stated."""
     offset: Float[AnyArray, "2"]
     """mx and my at the anchor pixel's centre."""
+    camera: Scalar
+    """Eye depth 0, the camera's own plane, relative to the planet's centre."""
     near: Scalar
     """Eye depth of the near plane relative to the planet's centre."""
     far: Scalar
@@ -83,6 +85,7 @@ def view_of(scene: Scene) -> View:
         slope=slope,
         anchor=anchor,
         offset=offset,
+        camera=-depth,
         near=camera.near / radius - depth,
         far=camera.far / radius - depth,
         planet=1.0,

@@ -41,6 +41,8 @@ class Accuracy:
     """The bound on it."""
     outside: int
     """Number of widths whose error exceeds the prediction."""
+    edges: int
+    """Number of pixels on a silhouette, where only the widest chord bounds the error."""
 
     @property
     def passed(self) -> bool:
@@ -63,7 +65,8 @@ class Accuracy:
                 "predicted_max": float(np.max(allowed)),
                 "predicted_median": float(np.median(allowed)),
             }
-        return {"passed": self.passed, "outside": self.outside, **rows}
+        counts = {"outside": self.outside, "edges": self.edges}
+        return {"passed": self.passed, **counts, **rows}
 
 
 def smooth(scene: Scene) -> Scene:
@@ -82,8 +85,12 @@ def measure_accuracy(scene: Scene, depth_format: DepthFormat) -> Accuracy:
     exact_lit, exact_dark = (r[0] for r in width_ranges(bare, 0.0, 0.0))
     slack = 2 * depth_step(bare, layers, depth_format)
     measured, predicted, outside = [], [], 0
-    # The error may go either way by as much as the range does in the worse direction: a snapped
-    # triangle's plane, followed beyond its edge, overshoots where a displaced surface would end.
+    # Where a displaced surface may or may not be met at all, its triangles stand edge-on: followed
+    # beyond its snapped edge, such a plane has any depth; only the widest chord bounds it there.
+    (lit_min, lit_max), (dark_min, dark_max) = lit_range, dark_range
+    edge = (lit_min + dark_min == 0) & (lit_max + dark_max > 0)
+    edge |= (dark_min == 0) & (dark_max > 0)
+    widest = float(np.max(lit_max + dark_max))
     for width, (least, most), exact, sums in (
         (lit, lit_range, exact_lit, 2),  # the lit width is the sum of two differences
         (dark, dark_range, exact_dark, 1),
@@ -91,9 +98,11 @@ def measure_accuracy(scene: Scene, depth_format: DepthFormat) -> Accuracy:
         allowance = sums * slack
         air = (width != 0) | (exact != 0)
         measured.append(np.where(air, np.abs(width - exact), np.nan))
-        predicted.append(np.maximum(most - exact, exact - least) + allowance)
-        outside += int(np.sum(measured[-1] > predicted[-1]))
-    return Accuracy(np.stack(measured), np.stack(predicted), outside)
+        bound = np.where(edge, widest, np.maximum(most - exact, exact - least))
+        predicted.append(bound + allowance)
+        # Written so that a width that is not a number is outside.
+        outside += int(np.sum(air & ~(measured[-1] <= predicted[-1])))
+    return Accuracy(np.stack(measured), np.stack(predicted), outside, int(np.sum(edge)))
 
 
 def displacement(scene: Scene) -> tuple[float, float]:

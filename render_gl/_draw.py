@@ -36,6 +36,10 @@ DEPTH_CLAMP = 0x864F
 """GL_DEPTH_CLAMP: what lies nearer than the near plane gets its depth instead of a hole (the
 paper's extended pixel shader, its Fig. 11)."""
 
+MAX_WINDOW_RATIO = 1e7
+"""The linearisation's `a` is 1 + near/far: at this ratio that is less than one float32 step from 1,
+and far depths become arbitrary or infinite."""
+
 SHADOW_MARGIN = 1.01
 """The cone is drawn to this many shell radii from the planet's centre; beyond is no air."""
 
@@ -63,6 +67,12 @@ def draw(scene: Scene, look: Look, depth_format: DepthFormat) -> Frame:
     if depth_format not in DEPTH_FORMATS:
         raise InputError(f"depth format {depth_format!r} is unknown; use one of {DEPTH_FORMATS}")
     refuse_occluders(scene)
+    ratio = float(scene.camera.far / scene.camera.near)
+    if depth_format == "window24" and ratio >= MAX_WINDOW_RATIO:
+        raise InputError(
+            f"camera.far / camera.near: {ratio:.3g} is beyond what window depths can hold "
+            f"(below {MAX_WINDOW_RATIO:.0e}); bring the planes together or use linear depth"
+        )
     context = gl_context()
     _check_size(context, "camera", scene.camera.width, scene.camera.height)
     try:
@@ -177,7 +187,9 @@ class _Passes:
             texture.use(unit)
             units[name] = unit
         self._state("back", test=False)
-        if np.linalg.norm(self.position) <= self.shell:
+        # Inside the mesh, not just the sphere: every ray then has a back face, and no front.
+        inner = self.shell * sphere_mesh(self.scene.planet.triangles).inner_radius
+        if np.linalg.norm(self.position) <= inner:
             screen = program("screen.vert", "combine.frag", self.defines)
             assign_uniforms(screen, self.uniforms | units)
             self.context.vertex_array(screen, []).render(vertices=3)

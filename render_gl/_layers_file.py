@@ -95,6 +95,12 @@ def read_layers(path: PathLike, near: float | None = None, far: float | None = N
         linear=not window,
         reference=_number(path, header, "airlight.reference", 0.0),
     )
+    swapped = np.sum(textures.front > textures.back)
+    if swapped > np.sum(textures.front < textures.back):
+        raise InputError(
+            f"{path}: front.Z lies behind back.Z in {int(swapped):,} pixels; "
+            "swap the two channels, or the sign of the depths"
+        )
     linear = textures.linearize()
     rgb = [f"surface.{c}" for c in "RGB"]
     surface = np.stack([channels[c] for c in rgb], axis=-1) if set(rgb) <= set(channels) else None

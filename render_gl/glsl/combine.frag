@@ -24,8 +24,8 @@ void main() {
     float front = clamp(gl_FragCoord.z, 0.0, 1.0);
 #endif
     float back = texelFetch(planet_atmosphere, pixel, 0).r;
-    // Ground that rises out of the air hides it; a pixel without back faces has none.
-    if (back >= empty || front > back) discard;
+    // Ground that rises out of the air hides it.
+    if (front >= back) discard;
 #ifdef SHADOW
     depths = vec4(front, back, texelFetch(shadow_front_texture, pixel, 0).r,
                   texelFetch(shadow_back_texture, pixel, 0).r);

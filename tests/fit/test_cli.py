@@ -140,6 +140,25 @@ def test_sun_behind_the_camera_leaves_the_shadow_out_and_does_not_spoil_the_verd
     assert "shadow_front.Z" not in channels
 
 
+def test_a_linear_exr_is_linear_whatever_the_scenes_own_photo_is(here: Path) -> None:
+    Path("own.toml").write_text(SCENE + '[photo]\npath = "photo.png"\ntone_curve = "srgb"\n')
+    assert airlight("render", "own.toml", "-o", "linear.exr", "--depth", "linear") == 0
+    assert airlight("fit", "own.toml", "linear.exr", "-o", "out") == 0
+    document = json.loads(Path("out/fit.json").read_text())
+    assert document["tone_curve"] == "linear"
+    assert document["parameters"]["brightness"]["value"] == pytest.approx(3.0, rel=1e-4)
+    assert document["parameters"]["shadow"]["value"] == pytest.approx(0.2, rel=1e-4)
+
+
+def test_swapped_layers_are_named(here: Path, capsys) -> None:
+    assert airlight("render", "scene.toml", "-o", "layers.exr") == 0
+    channels, _ = render_gl.read_channels("layers.exr")
+    swapped = {"front.Z": channels["back.Z"], "back.Z": channels["front.Z"]}
+    render_gl.write_channels("swapped.exr", swapped, {})
+    line = refused(capsys, "fit", "--layers", "swapped.exr", "photo.png", "-o", "out")
+    assert "front.Z lies behind back.Z" in line
+
+
 # --- bad input: one line, a remedy, exit code 2, nothing lost ----------------------------------
 
 
@@ -215,6 +234,7 @@ COMMANDS = {
     "no scene": ("render", "nowhere.toml", "-o", "a.exr"),
     "unknown suffix": ("render", "scene.toml", "-o", "a.tga"),
     "bad size": ("render", "scene.toml", "-o", "a.exr", "--size", "12"),
+    "huge size": ("render", "scene.toml", "-o", "a.exr", "--size", "30000x30000"),
     "zero size": ("render", "scene.toml", "-o", "a.exr", "--size", "0x9"),
     "one path": ("fit", "photo.png", "-o", "out"),
     "near without layers": ("fit", "scene.toml", "photo.png", "-o", "out", "--near", "3"),

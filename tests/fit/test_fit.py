@@ -284,7 +284,7 @@ def test_without_sun_the_shadow_weight_is_left_out() -> None:
     assert [(item.what, item.why) for item in result.left_out] == [
         (
             "shadow weight",
-            "the layers have no shadow: no sun is given, or no air in view is in shadow",
+            "the layers hold no shadow: no sun is given, or no air in view is in shadow",
         )
     ]
     shadow = result.parameters["shadow"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import render_gl
-from model_jax import Scene, layer_widths, width_ranges
+from model_jax import Atmosphere, Camera, Scene, analytic_layers, layer_widths, width_ranges
 from render_gl._accuracy import displacement, measure_accuracy, smooth
 from render_gl._mesh import shadow_mesh, sphere_mesh
 
@@ -19,6 +19,28 @@ def test_rasterised_widths_are_as_predicted(case: Scene, depth_format: str) -> N
     accuracy = measure_accuracy(case, depth_format)
     assert accuracy.passed, accuracy.summary()
     assert np.nanmax(accuracy.measured) > 0
+
+
+def test_an_edge_on_facet_is_no_false_alarm() -> None:
+    """A limb pixel whose facet is followed far beyond its snapped edge (found by review)."""
+    case = render_gl.load_scene("examples/reference.toml").scene
+    position = [11000.0, -11000.0, 0.0]
+    camera = Camera(position, np.negative(position), [0, -0.5, 1], 50, 160, 120, 8100, 21050)
+    case = Scene(camera, case.planet, Atmosphere(300.0), case.sun)
+    for depth_format in render_gl.DEPTH_FORMATS:
+        accuracy = measure_accuracy(case, depth_format)
+        assert accuracy.passed, accuracy.summary()
+        assert accuracy.edges < 0.05 * 160 * 120
+
+
+@pytest.mark.parametrize(("near", "far"), [(15000.0, 21050.0), (8100.0, 12000.0)])
+def test_clip_planes_through_the_scene_clamp_alike(near: float, far: float) -> None:
+    case = SCENES["sun (1, -1, 1)"]
+    case = eqx.tree_at(lambda s: (s.camera.near, s.camera.far), case, (near, far))
+    drawn = render_gl.render(case, "linear")
+    exact = analytic_layers(case)
+    assert abs(float(np.mean(np.asarray(drawn.planet) - np.asarray(exact.planet)))) < 0.005
+    assert abs(float(np.mean(drawn.has_air) - np.mean(exact.has_air))) < 0.01
 
 
 def test_prediction_is_no_excuse() -> None:

@@ -128,6 +128,13 @@ def test_occluders_are_refused_by_name() -> None:
         analytic_layers(case)
 
 
+def test_window_depths_are_refused_where_they_hold_nothing() -> None:
+    case = eqx.tree_at(lambda s: s.camera.near, scene(), 1e-3)
+    with pytest.raises(InputError, match="linear depth"):
+        render_gl.render(case)
+    assert np.all(np.isfinite(render_gl.render(case, "linear").back))
+
+
 def test_too_large_pictures_are_refused() -> None:
     case = eqx.tree_at(lambda s: s.camera, scene(), scene().camera.resized(65536, 8))
     with pytest.raises(InputError, match="limit"):

@@ -1,0 +1,58 @@
+"""What the README shows runs, and what it links to exists."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+LINES = (ROOT / "README.md").read_text().splitlines()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", "\n".join(LINES), re.DOTALL)
+
+
+def test_the_two_commands_and_the_python_api_come_early() -> None:
+    first = "\n".join(LINES[:20])
+    assert "make demo" in first
+    assert "make test" in first
+    assert "```python" in "\n".join(LINES[:40])
+
+
+def test_the_python_snippet_runs() -> None:
+    (snippet,) = blocks("python")
+    done = subprocess.run(
+        [sys.executable, "-c", snippet + "\nassert picture.shape == (540, 720, 4), slope"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "The fit converged" in done.stdout
+
+
+@pytest.mark.parametrize("command", ["render", "fit", "check", "version"])
+def test_every_command_is_shown(command: str) -> None:
+    assert any(f"airlight {command}" in block for block in blocks("sh"))
+
+
+def test_links_lead_somewhere() -> None:
+    targets = re.findall(r"\]\(([^)#]+)\)", "\n".join(LINES))
+    assert len(targets) >= 8
+    for target in targets:
+        assert target.startswith("http") or (ROOT / target).exists(), target
+
+
+def test_share_explained_is_what_a_fit_says() -> None:
+    """The README's 55 % is the embedded example's figure (also a guard on the example itself)."""
+    from fit import fit, load_photo
+    from model_jax import analytic_layers
+    from render_gl import load_scene
+
+    file = load_scene(ROOT / "examples/reference.toml")
+    result = fit(load_photo(file.photo.path), analytic_layers(file.scene))
+    assert result.explained == pytest.approx(0.55, abs=0.005)
