@@ -1,0 +1,247 @@
+"""What a fit leaves out, where it ends at a bound, and verdicts that are true."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.optimize import least_squares
+
+from fit import Verdict, fit, load_photo
+from model_jax import (
+    InputError,
+    Layers,
+    Look,
+    analytic_layers,
+    layer_widths,
+)
+
+from .looks import START, TRUTH, check_values, picture, scene, square_sum, to_values
+
+
+def test_without_sun_the_shadow_weight_is_left_out() -> None:
+    layers = analytic_layers(scene(sun=False))
+    result = fit(picture(layers, TRUTH), layers, START)
+    assert result.verdict == "converged"
+    assert [(item.what, item.why) for item in result.left_out] == [
+        (
+            "shadow weight",
+            "the layers hold no shadow: no sun is given, or no air in view is in shadow",
+        )
+    ]
+    shadow = result.parameters["shadow"]
+    assert (shadow.value, shadow.stderr, shadow.free) == (0.5, None, False)
+    assert result.look.brightness == pytest.approx(3.0, rel=1e-4)
+
+
+def test_without_dark_pixels_the_shadow_weight_is_left_out(layers: Layers) -> None:
+    photo = picture(layers, TRUTH).copy()
+    photo[np.asarray(layer_widths(layers)[1]) > 0] = np.nan
+    result = fit(photo, layers, START, free=["brightness", "shadow", "tint", "background"])
+    assert result.verdict == "converged"
+    assert [item.why for item in result.left_out] == ["no pixel used is in shadow"]
+
+
+def test_without_lit_pixels_shadow_is_held(layers: Layers) -> None:
+    lit, _ = layer_widths(layers)
+    photo = picture(layers, TRUTH).copy()
+    photo[np.asarray(lit) > 0] = np.nan
+    result = fit(photo, layers, Look(1.0, 0.1))
+    assert "no pixel used is lit" in result.left_out[0].why
+    assert result.look.brightness * 0.1 == pytest.approx(3.0 * 0.2, rel=1e-3)
+
+
+def flat_layers(thickness: float) -> Layers:
+    front = np.zeros((20, 30), np.float32)
+    return Layers(front, front + np.float32(thickness))
+
+
+def test_level_and_air_of_one_thickness(layers: Layers) -> None:
+    """A background cannot be told from air that is equally thick everywhere: it is held."""
+    photo = np.random.default_rng(0).normal(0.6, 0.01, size=(20, 30, 3))
+    result = fit(photo, flat_layers(0.2), START)
+    assert result.verdict == "converged"
+    assert result.left_out[-1].what == "background"
+    assert not result.parameters["background"].free
+    assert result.look.brightness == pytest.approx(0.6 / 0.2, rel=0.01)
+    asked = fit(photo, flat_layers(0.2), START, free=["brightness", "background"])
+    assert asked.verdict == "not_identifiable"
+    assert "brightness" in asked.left_out[-1].why
+
+
+def test_colourless_channel(layers: Layers) -> None:
+    """Where the air has no red, no photo tells the red tint; the others are told."""
+    coloured = Layers(
+        layers.front,
+        layers.back,
+        layers.shadow_front,
+        layers.shadow_back,
+        planet=layers.planet,
+        color=(0.0, 0.5, 1.0, 1.0),
+        width_unit=layers.width_unit,
+    )
+    result = fit(picture(coloured, Look(3.0, 0.2, (1.0, 0.8, 1.2))), coloured, START)
+    check_values(result, Look(3.0, 0.2, (1.0, 0.8, 1.2)), 1e-4)
+    assert [item.what for item in result.left_out] == ["tint.r"]
+
+
+@pytest.mark.parametrize(
+    ("look", "at_bound"),
+    [
+        ((3.0, -0.1, (1.0, 1.0, 1.0)), "shadow"),
+        ((3.0, 0.2, (-0.1, 1.5, 1.6)), "tint.r"),
+        ((-1.0, 0.2, (1.0, 1.0, 1.0)), "brightness"),
+    ],
+    ids=["shadow", "tint", "brightness"],
+)
+def test_bounds(
+    look: tuple[float, float, tuple[float, ...]], at_bound: str, layers: Layers
+) -> None:
+    """A photo whose best fit lies outside: the parameter ends at its bound, and the fit says so."""
+    brightness, shadow, tint = look
+    lit, dark = (np.asarray(width) for width in layer_widths(layers) if width is not None)
+    photo = 1.0 + brightness * np.asarray(tint) * (lit + shadow * dark)[..., None]
+    result = fit(photo, layers, START)
+    assert result.verdict == "at_bound"
+    assert at_bound in result.message
+    assert result.parameters[at_bound].value == 0.0
+    assert result.parameters[at_bound].stderr is None
+    assert np.mean(result.look.tint) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_end_at_a_bound_is_the_best_corner(seed: int) -> None:
+    """Against SciPy's bounded least squares from eight starts, where bounds are active.
+
+    Channel amplitudes of random sign, a negative shadow weight; lit air alone keeps brightness up.
+    """
+    rng = np.random.default_rng(seed)
+    lit, dark = rng.uniform(0.5, 1, (20, 20)), rng.uniform(0, 0.5, (20, 20))
+    layers = Layers(np.zeros_like(lit), lit + dark, lit, lit + dark)
+    amplitude = rng.permutation([-0.3, 0.5, 1.0])
+    photo = amplitude * (lit - 0.2 * dark)[..., None] + rng.normal(scale=0.02, size=(20, 20, 3))
+    result = fit(photo, layers, START, free=["brightness", "shadow", "tint"])
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        return (x[:3] * (lit + x[3] * dark)[..., None] - photo).reshape(-1)
+
+    runs = [least_squares(residual, rng.uniform(0, 2, 4), bounds=(0, np.inf)) for _ in range(8)]
+    best = 2 * min(run.cost for run in runs)
+    assert result.verdict == "at_bound"
+    # SciPy stays a little inside the bounds; ours may be lower, never higher.
+    assert square_sum(photo, layers, result) <= best * (1 + 1e-6)
+
+
+def test_surface_is_added(layers: Layers) -> None:
+    surface = np.random.default_rng(5).uniform(0, 0.3, size=(128, 160, 3)).astype(np.float32)
+    covered = Layers(
+        layers.front,
+        layers.back,
+        layers.shadow_front,
+        layers.shadow_back,
+        surface * np.asarray(layers.planet)[..., None],
+        layers.planet,
+        width_unit=layers.width_unit,
+    )
+    result = fit(picture(covered, TRUTH), covered, START)
+    check_values(result, TRUTH, 1e-4)
+    assert result.pixels["used"] > fit(picture(layers, TRUTH), layers).pixels["used"]
+
+
+@pytest.mark.parametrize(
+    ("light", "word"),
+    [(0.0, "black"), (0.3, "same"), (np.nan, "not finite"), (np.inf, "not finite")],
+    ids=["black", "grey", "nan", "inf"],
+)
+def test_photos_that_show_nothing(light: float, word: str, layers: Layers) -> None:
+    result = fit(np.full((128, 160, 3), light, np.float32), layers, START)
+    assert result.verdict == "no_data"
+    assert word in result.message
+    assert to_values(result)["brightness"] == 1.0
+    json.dumps(result.to_dict(), allow_nan=False)
+
+
+def test_white_photo(layers: Layers, tmp_path: Path) -> None:
+    Image.fromarray(np.full((128, 160, 3), 255, np.uint8)).save(tmp_path / "white.png")
+    result = fit(load_photo(tmp_path / "white.png"), layers)
+    assert result.verdict == "no_data"
+    assert "saturated" in result.message
+
+
+def test_mask_that_excludes_everything(layers: Layers, tmp_path: Path) -> None:
+    Image.fromarray(np.full((128, 160, 3), 90, np.uint8)).save(tmp_path / "photo.png")
+    Image.fromarray(np.zeros((128, 160), np.uint8)).save(tmp_path / "mask.png")
+    result = fit(load_photo(tmp_path / "photo.png", mask=tmp_path / "mask.png"), layers)
+    assert result.verdict == "no_data"
+    assert result.pixels["excluded"]["masked"] > 0
+    assert result.pixels["used"] == 0
+
+
+def test_single_pixel() -> None:
+    layers = Layers(np.zeros((1, 1), np.float32), np.ones((1, 1), np.float32))
+    result = fit(np.full((1, 1, 3), 0.5), layers)
+    assert result.verdict == "no_data"
+    assert "used is 1, needed are 5" in result.message
+
+
+def test_broken_pixels_change_nothing_else(layers: Layers) -> None:
+    photo = picture(layers, TRUTH).copy()
+    photo[10:40, 20:60, 1] = np.nan
+    photo[100, 100] = np.inf
+    result = fit(photo, layers, START)
+    check_values(result, TRUTH, 1e-4)
+    pixels = result.pixels
+    assert pixels["used"] + sum(pixels["excluded"].values()) == pixels["total"]
+    assert pixels["excluded"]["not finite"] > 0
+
+
+def test_json_has_the_schemas_keys(layers: Layers) -> None:
+    made = fit(picture(layers, TRUTH), layers).to_dict()
+    json.dumps(made, allow_nan=False)
+    assert {"verdict", "message", "parameters", "correlation", "residual_rms"} <= made.keys()
+    assert {"pixels", "left_out", "seconds"} <= made.keys()
+    keys = {"value", "stderr", "initial", "free", "unit", "bounds"}
+    assert all(keys <= entry.keys() for entry in made["parameters"].values())
+    assert made["parameters"]["brightness"]["bounds"] == [0.0, None]
+    assert {"reduce", "solve"} == made["seconds"].keys()
+
+
+def test_wrong_names_and_sizes(layers: Layers) -> None:
+    photo = picture(layers, TRUTH)
+    with pytest.raises(InputError, match="'exposure'"):
+        fit(photo, layers, free=["brightness", "exposure"])
+    with pytest.raises(InputError, match="nothing to fit"):
+        fit(photo, layers, free=[])
+    with pytest.raises(InputError, match="'newton'"):
+        fit(photo, layers, solver="newton")
+    with pytest.raises(InputError, match=r"160×127.*160×128"):
+        fit(photo[1:], layers)
+
+
+def test_verdicts_have_labels() -> None:
+    assert [verdict.label for verdict in Verdict] == [
+        "converged",
+        "at_bound",
+        "not_identifiable",
+        "not_converged",
+        "diverged",
+        "no_data",
+    ]
+
+
+def test_importing_fit_needs_no_opengl() -> None:
+    """`fit`'s core works where there is no OpenGL, and does not pay for plots."""
+    code = (
+        "import sys, fit; print(sorted({'render_gl', 'moderngl', 'matplotlib'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_result_is_a_plain_record(layers: Layers) -> None:
+    result = fit(picture(layers, TRUTH), layers)
+    assert replace(result, verdict="x").look is result.look
