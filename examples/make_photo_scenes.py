@@ -185,9 +185,9 @@ def iss_scene(data: Path) -> str:
 #
 # The altitude is not the station's (about 420 km, not known for that minute): it is the one number
 # solved for, so that focal length (EXIF), pitch and roll as given put the blue edge where it is.
-# At 420 km the limb's curvature asks for f = 52.4 mm and pitch 25.9° instead of 56 mm and 27.0°,
-# and fits as well (lens distortion unknown): the photo cannot tell. Heights above the limb
-# are 2% smaller then.
+# At 420 km the limb's curvature asks for f = 51.2 mm and pitch 25.9° instead of 56 mm and 27.0°,
+# and fits as well (0.57 px; lens distortion unknown): the photo cannot tell. Heights above the
+# limb are up to 1% smaller then. 420 km with 56 mm does not fit at any pitch (3.8 px).
 #
 # No [sun]: its direction is unknown and no terminator is in the frame, so no shadow volume.
 

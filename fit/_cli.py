@@ -129,8 +129,13 @@ def fit(
     far: Annotated[
         float | None, typer.Option(help="With --layers: far plane of window depths.")
     ] = None,
-    source: Source = SourceOption.raster,
-    depth: Depth = DepthOption.linear,
+    source: Annotated[
+        SourceOption | None,
+        typer.Option(help="Layers by OpenGL passes (the default), or by exact intersection."),
+    ] = None,
+    depth: Annotated[
+        DepthOption | None, typer.Option(help="Depth format of the passes; linear by default.")
+    ] = None,
     tone_curve: Annotated[
         str | None, typer.Option(help="linear, srgb or EXPOSURE,GAMMA of 1-exp(-EXPOSURE x).")
     ] = None,
@@ -150,14 +155,16 @@ def fit(
         )
     if layers is None and (near is not None or far is not None):
         raise InputError("fit: --near and --far go with --layers; a scene has its own clip planes")
+    if layers is not None and (source is not None or depth is not None):
+        raise InputError("fit: --source and --depth draw a scene's layers; --layers has its own")
     job = Job(
         photo=paths[-1],
         scene=paths[0] if layers is None else None,
         layers=layers,
         near=near,
         far=far,
-        source=source.value,
-        depth_format=depth.value,
+        source=(source or SourceOption.raster).value,
+        depth_format=(depth or DepthOption.linear).value,
         tone_curve=_tone_curve(tone_curve),
         mask=mask,
         free=None if free is None else tuple(name.strip() for name in free.split(",")),

@@ -30,9 +30,11 @@ from model_jax import (
 )
 
 from ._fit import fit
+from ._parameters import named_free
 from ._photo import Photo, load_photo
 from ._report import report_html
 from ._result import FitResult
+from ._solve import make_solver
 
 Source = Literal["raster", "analytic"]
 FILES = ("fit.json", "report.html", "image.exr", "residual.exr", "layers.exr")
@@ -51,6 +53,7 @@ class Job:
     near: float | None = None
     far: float | None = None
     source: Source = "raster"
+    """Where a scene's layers come from."""
     depth_format: render_gl.DepthFormat = "linear"
     tone_curve: str | None = None
     mask: str | None = None
@@ -74,6 +77,9 @@ def run_job(
     Raises `InputError` or `DriverError`; each file appears whole or not at all, and fit.json last,
     so that its presence means that all are there.
     """
+    # Slips in names are found out before the work, not after.
+    named_free(job.free)
+    make_solver(job.solver)
     folder = prepare_folder(out)
     progress("reading the photo")
     file = render_gl.load_scene(job.scene) if job.scene is not None else None

@@ -266,14 +266,19 @@ def _read_tiff(path: Path) -> tuple[np.ndarray, int | None]:
 
 
 def _read_exr(path: Path, any_channels: bool) -> np.ndarray:
-    """R, G, B of an EXR; for a mask all channels there are."""
+    """R, G, B of an EXR, or Y of a grey one; for a mask all channels there are."""
     # Only here: the core of `fit` works without `render_gl` and OpenGL.
     from render_gl._exr import read_channels
 
     channels, _ = read_channels(path)
     names = list(channels) if any_channels else ["R", "G", "B"]
+    if not any_channels and set(channels) & {*"RGBY"} == {"Y"}:
+        names = ["Y"]
     if not set(names) <= set(channels):
-        raise InputError(f"{path}: has the channels {sorted(channels)}; a photo needs R, G and B")
+        raise InputError(
+            f"{path}: has the channels {sorted(channels)}; a photo needs R, G and B, or Y; "
+            "export it with these names"
+        )
     _check_size(path, *channels[names[0]].shape[::-1])
     return np.stack([channels[name] for name in names], axis=-1)
 

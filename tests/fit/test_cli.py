@@ -150,6 +150,13 @@ def test_a_linear_exr_is_linear_whatever_the_scenes_own_photo_is(here: Path) -> 
     assert document["parameters"]["shadow"]["value"] == pytest.approx(0.2, rel=1e-4)
 
 
+def test_a_grey_exr_is_a_photo(here: Path) -> None:
+    airlight("render", "scene.toml", "-o", "photo.exr")
+    channels, _ = render_gl.read_channels("photo.exr")
+    render_gl.write_channels("grey.exr", {"Y": channels["G"]}, {})
+    assert airlight("fit", "scene.toml", "grey.exr", "-o", "out") == 0
+
+
 def test_swapped_layers_are_named(here: Path, capsys) -> None:
     assert airlight("render", "scene.toml", "-o", "layers.exr") == 0
     channels, _ = render_gl.read_channels("layers.exr")
@@ -242,6 +249,10 @@ COMMANDS = {
     "out is a file": ("fit", "scene.toml", "photo.png", "-o", "photo.png"),
     "unknown parameter": ("fit", "scene.toml", "photo.png", "-o", "out", "--free", "glow"),
     "unknown solver": ("fit", "scene.toml", "photo.png", "-o", "out", "--solver", "magic"),
+    "source with layers": (
+        *("fit", "--layers", "l.exr", "photo.png", "-o", "out"),
+        *("--source", "analytic"),
+    ),
     "unknown curve": ("fit", "scene.toml", "photo.png", "-o", "out", "--tone-curve", "log"),
     "layers without channels": ("fit", "--layers", "photo.png", "photo.png", "-o", "out"),
 }
