@@ -8,6 +8,7 @@ The ground floor of airlight: it knows no files, no OpenGL, no photos and no sol
 
 from ._analytic import analytic_layers as analytic_layers
 from ._analytic import limb_height as limb_height
+from ._combine import air_light as air_light
 from ._combine import combine as combine
 from ._combine import composite as composite
 from ._combine import layer_widths as layer_widths
@@ -21,6 +22,9 @@ from ._layers import linearize_depth as linearize_depth
 from ._look import PARAMETERS as PARAMETERS
 from ._look import Look as Look
 from ._look import Parameter as Parameter
+from ._response import RESPONSE_PARAMETERS as RESPONSE_PARAMETERS
+from ._response import Response as Response
+from ._response import record as record
 from ._scene import Atmosphere as Atmosphere
 from ._scene import Camera as Camera
 from ._scene import Occluder as Occluder

@@ -51,15 +51,31 @@ def combine(layers: Layers, look: Look) -> Rgba:
     Twin: `combine` in `combine.glsl`.
     """
     lit, dark = layer_widths(layers)
-    dtype = lit.dtype
-    width = lit[..., None]
-    if dark is not None:
-        width = width + _per_channel(look.shadow, dtype) * dark[..., None]
-    color = jnp.asarray(layers.color, dtype)
-    tinted = _per_channel(color[:3], dtype) * _per_channel(look.tint, dtype)
-    rgb = jnp.asarray(look.brightness, dtype) * (tinted * width)
+    color = jnp.asarray(layers.color, lit.dtype)
+    rgb = air_light(lit[..., None], None if dark is None else dark[..., None], color[:3], look)
     alpha = jnp.where(layers.has_air, color[3], 0)
-    return jnp.concatenate([rgb, alpha[..., None].astype(dtype)], axis=-1)
+    return jnp.concatenate([rgb, alpha[..., None].astype(lit.dtype)], axis=-1)
+
+
+def air_light(
+    lit: Float[AnyArray, "*shape 1"],
+    dark: Float[AnyArray, "*shape 1"] | None,
+    color: Float[AnyArray, "3"],
+    look: Look,
+) -> Float[AnyArray, "*shape 3"]:
+    """Light of the air where its lit and shadowed widths are known, whoever measured them.
+
+    Args:
+        lit, dark: widths in `width_unit`s; `dark` None without shadow.
+        color: linear RGB of the air.
+    """
+    dtype = lit.dtype
+    shape = (1,) * (lit.ndim - 1) + (-1,)
+    width = lit
+    if dark is not None:
+        width = width + _per_channel(look.shadow, dtype, shape) * dark
+    tinted = _per_channel(color, dtype, shape) * _per_channel(look.tint, dtype, shape)
+    return jnp.asarray(look.brightness, dtype) * (tinted * width)
 
 
 def composite(layers: Layers, look: Look) -> Rgba:
@@ -70,7 +86,7 @@ def composite(layers: Layers, look: Look) -> Rgba:
         the planet where the layers know it, else the air's.
     """
     air = combine(layers, look)
-    rgb = air[..., :3] + _per_channel(look.background, air.dtype)
+    rgb = air[..., :3] + _per_channel(look.background, air.dtype, (1, 1, -1))
     if layers.surface is not None:
         rgb = rgb + jnp.asarray(layers.surface, air.dtype)
     alpha = air[..., 3]
@@ -79,6 +95,8 @@ def composite(layers: Layers, look: Look) -> Rgba:
     return jnp.concatenate([rgb, alpha[..., None]], axis=-1)
 
 
-def _per_channel(value: Scalar | AnyArray, dtype: DTypeLike) -> Float[AnyArray, "1 1 channels"]:
-    """One number or one per channel, ready to multiply an image."""
-    return jnp.asarray(value, dtype).reshape(1, 1, -1)
+def _per_channel(
+    value: Scalar | AnyArray, dtype: DTypeLike, shape: tuple[int, ...]
+) -> Float[AnyArray, "*ones channels"]:
+    """One number or one per channel, ready to multiply an array of pixels."""
+    return jnp.asarray(value, dtype).reshape(shape)

@@ -25,6 +25,8 @@ class Parameter:
     lower: float
     upper: float
     default: float
+    scale: float = 1.0
+    """Typical size, where a start of zero says nothing about it."""
 
 
 PARAMETERS: dict[str, Parameter] = {
@@ -33,7 +35,9 @@ PARAMETERS: dict[str, Parameter] = {
     ),
     "shadow": Parameter("light of shadowed air as a share of lit air", "1", 0.0, np.inf, 0.2),
     "tint": Parameter("factor on the air's colour, mean 1 over the channels", "1", 0.0, 3.0, 1.0),
-    "background": Parameter("light added to every pixel", "linear light", -np.inf, np.inf, 0.0),
+    "background": Parameter(
+        "light added to every pixel", "linear light", -np.inf, np.inf, 0.0, scale=0.01
+    ),
 }
 """Every parameter of `Look` by its field name, in the order reports show them."""
 

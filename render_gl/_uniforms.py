@@ -14,7 +14,6 @@ def uniforms_of(scene: Scene, look: Look, linear: bool) -> dict[str, Any]:
     basis = np.asarray(camera.basis())
     center = -basis @ np.asarray(camera.position) / radius
     focal_y = 2.0 / (camera.height * float(camera.pixel_size()))
-    color = np.asarray(scene.atmosphere.color)
     return {
         "basis": tuple(basis.T.reshape(-1)),  # GL wants columns
         "center": tuple(center[:2]),
@@ -29,7 +28,8 @@ def uniforms_of(scene: Scene, look: Look, linear: bool) -> dict[str, Any]:
         "width_unit": far - near,
         "brightness": float(look.brightness),
         "shadow": tuple(np.broadcast_to(look.shadow, 3)),
-        "color": (*(color[:3] * np.asarray(look.tint)), color[3]),
+        "tint": tuple(np.asarray(look.tint)),
+        "color": tuple(np.asarray(scene.atmosphere.color)),
         "relief_scale": relief_scale(scene),
         "sun": (0.0, 0.0, 0.0) if scene.sun is None else tuple(np.asarray(scene.sun.direction)),
     }

@@ -6,7 +6,8 @@ uniform vec2 depth_constants;  // a, b of the depth linearisation; unused when L
 uniform float width_unit;      // far - near, scene length units
 uniform float brightness;
 uniform vec3 shadow;           // shadow weight per channel
-uniform vec4 color;            // linear rgb times tint, and alpha
+uniform vec3 tint;             // factor per channel on the air's colour
+uniform vec4 color;            // the air's: linear rgb, and alpha
 
 float linearize_depth(float window) {
     return depth_constants.y / (window - depth_constants.x);
@@ -37,9 +38,9 @@ vec2 layer_widths(vec4 depths) {
 vec4 combine(vec4 depths) {
     vec2 widths = layer_widths(depths);
 #ifdef SHADOW
-    vec3 light = color.rgb * (widths.x + shadow * widths.y);
+    vec3 light = color.rgb * tint * (widths.x + shadow * widths.y);
 #else
-    vec3 light = color.rgb * widths.x;
+    vec3 light = color.rgb * tint * widths.x;
 #endif
     return vec4(brightness * light, depths.x != depths.y ? color.a : 0.0);
 }

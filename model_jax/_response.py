@@ -1,0 +1,84 @@
+"""How a camera records light: exposure, gamma and black level, one set per photo.
+
+    recorded = black_level + (exposure · light)^(1/gamma)
+
+A look says how bright the air is; a `Response` says what one photo made of that. A photo that was
+decoded with the right tone curve has the defaults, which change nothing.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ._errors import InputError
+from ._look import Parameter
+from ._safe import safe_power
+from ._shapes import AnyArray, Scalar
+
+RESPONSE_PARAMETERS: dict[str, Parameter] = {
+    "exposure": Parameter("factor on all light that reaches the camera", "1", 0.0, np.inf, 1.0),
+    "gamma": Parameter("exponent left after the photo's tone curve", "1", 0.1, 10.0, 1.0),
+    "black_level": Parameter(
+        "recorded value without light", "recorded light", -np.inf, np.inf, 0.0, scale=0.01
+    ),
+}
+"""Every parameter of `Response` by its field name."""
+
+
+def _number(value: object) -> Scalar | AnyArray:
+    if isinstance(value, jax.Array):
+        return value
+    try:
+        return np.asarray(value, dtype=np.float64)[()]
+    except (TypeError, ValueError):
+        raise InputError(f"response: {value!r} is not a number") from None
+
+
+class Response(eqx.Module):
+    """Parameters of a camera's response; a pytree, so that losses can be differentiated by it."""
+
+    exposure: Scalar = eqx.field(converter=_number, default=1.0)
+    """Factor on light; > 0. Only its product with brightness can be told from one photo."""
+    gamma: Scalar = eqx.field(converter=_number, default=1.0)
+    """What is left of the tone curve after decoding; 0.1 to 10, 1 for none."""
+    black_level: Scalar = eqx.field(converter=_number, default=0.0)
+    """Recorded value without light, in units of recorded light."""
+
+    def __check_init__(self) -> None:
+        for name, info in RESPONSE_PARAMETERS.items():
+            value = getattr(self, name)
+            if np.shape(value) != ():
+                raise InputError(f"response.{name}: {value!r} must be one number")
+            if isinstance(value, jax.core.Tracer):
+                continue
+            if not np.isfinite(value) or not info.lower <= value <= info.upper:
+                raise InputError(
+                    f"response.{name}: {value!r} must be a finite number"
+                    f" from {info.lower:g} to {info.upper:g}"
+                )
+
+
+def record(
+    light: Float[AnyArray, "*shape"], response: Response, *, linear: bool = False
+) -> Float[AnyArray, "*shape"]:
+    """What the camera records of light.
+
+    Args:
+        light: linear light, any shape.
+        response: of one photo. Light below zero, which a background below zero can make, goes
+            through the power odd-symmetrically.
+        linear: gamma is known to be 1; leaves the power out.
+
+    Returns:
+        Recorded light, same shape and dtype. The slope is finite everywhere; where light is
+        exactly zero it is taken as zero when gamma is not 1.
+    """
+    light = jnp.asarray(light)
+    dtype = light.dtype
+    exposed = jnp.asarray(response.exposure, dtype) * light
+    if not linear:
+        exponent = 1 / jnp.asarray(response.gamma, dtype)
+        exposed = jnp.sign(exposed) * safe_power(jnp.abs(exposed), exponent)
+    return exposed + jnp.asarray(response.black_level, dtype)
