@@ -16,7 +16,7 @@ from ._errors import InputError
 from ._intersect import ray_cone, ray_sphere, squared_miss_distance
 from ._layers import Layers
 from ._scene import Scene, refuse_occluders
-from ._shapes import AnyArray
+from ._shapes import AnyArray, Scalar
 from ._view import View, eye_center, pixel_rays, view_of
 
 
@@ -95,6 +95,11 @@ def limb_height(scene: Scene) -> Float[np.ndarray, "h w"]:
     radius = float(scene.planet.radius)
     with jax.enable_x64(True):
         view = view_of(scene).astype(jnp.float64)
-        (x, y), (mx, my) = pixel_rays(view, scene.camera.height, scene.camera.width)
-        squared, _ = squared_miss_distance(x, y, mx, my)
-        return (np.sqrt(np.asarray(squared)) - 1.0) * radius
+        return np.asarray(_limb_height(view, radius, scene.camera.height, scene.camera.width))
+
+
+@partial(jax.jit, static_argnames=("height", "width"))
+def _limb_height(view: View, radius: Scalar, height: int, width: int) -> Float[jax.Array, "h w"]:
+    (x, y), (mx, my) = pixel_rays(view, height, width)
+    squared, _ = squared_miss_distance(x, y, mx, my)
+    return (jnp.sqrt(squared) - 1.0) * radius

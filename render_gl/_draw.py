@@ -40,6 +40,10 @@ MAX_WINDOW_RATIO = 1e7
 """The linearisation's `a` is 1 + near/far: at this ratio that is less than one float32 step from 1,
 and far depths become arbitrary or infinite."""
 
+BAND = 2**20
+"""Pixels drawn at once. Their textures are 80 bytes a pixel: rows of large pictures go in bands, so
+that beside the images themselves there is never more of them than of a small picture."""
+
 SHADOW_MARGIN = 1.01
 """The cone is drawn to this many shell radii from the planet's centre; beyond is no air."""
 
@@ -100,7 +104,10 @@ class _Passes:
     def __init__(self, context: "moderngl.Context", scene: Scene, look: Look, linear: bool) -> None:
         self.context: Any = context  # its stub mistypes blend_equation
         self.scene, self.linear = scene, linear
-        self.size = (scene.camera.width, scene.camera.height)
+        self.size = (scene.camera.width, 0)
+        """Of a band."""
+        self.bottom = 0
+        """Rows of the picture below it."""
         self.uniforms = uniforms_of(scene, look, linear)
         self.shadowed = shadow_in_view(scene)
         self.defines = defines_of(scene, linear, self.shadowed)
@@ -109,12 +116,26 @@ class _Passes:
         self.position = np.asarray(scene.camera.position) / float(scene.planet.radius)
 
     def run(self) -> Frame:
-        """All passes, and what they left."""
+        """All passes, band by band, and what they left."""
+        width, height = self.scene.camera.width, self.scene.camera.height
+        rows = max(BAND // width // 64, 1) * 64  # even: derivatives are taken in squares of pixels
+        images = [np.empty((height, width, 4), np.float32) for _ in range(3)]
+        maps = _upload_maps(self.context, self.scene)
+        for self.bottom in range(0, height, rows):
+            self.size = (width, min(rows, height - self.bottom))
+            band = slice(height - self.bottom - self.size[1], height - self.bottom)
+            for image, texture in zip(images, self._band(maps), strict=True):
+                image[band] = _read(texture)
+            self.context.gc()
+        return Frame(*images, self.shadowed)
+
+    def _band(self, maps: dict[str, Any]) -> tuple[Any, Any, Any]:
+        """Air, depths and surface of a band."""
         textures = self.shadow() if self.shadowed else {}
-        surface, textures["planet_atmosphere"] = self.planet()
+        surface, textures["planet_atmosphere"] = self.planet(maps)
         self.shell_back(textures["planet_atmosphere"])
         air, depths = self.combine(textures)
-        return Frame(_read(air), _read(depths), _read(surface), self.shadowed)
+        return air, depths, surface
 
     def shadow(self) -> dict[str, Any]:
         """Passes 1 and 2. A cone is convex: each ray meets one back and one front face at most.
@@ -138,22 +159,23 @@ class _Passes:
             self._render(cone, program("volume.vert", "depth.frag", self.defines), size=1.0)
         return textures
 
-    def planet(self) -> tuple[Any, Any]:
+    def planet(self, maps: dict[str, Any]) -> tuple[Any, Any]:
         """Pass 3: surface colour, and the depth texture that pass 4 goes on with."""
         surface = self.context.texture(self.size, 4, dtype="f4")
         depth = self._depth_texture(self.uniforms["empty"])
         if self.linear:
-            target = self.context.framebuffer(
-                [surface, depth], self.context.depth_renderbuffer(self.size)
-            )
+            target = self._target([surface, depth], self.context.depth_renderbuffer(self.size))
             self.context.framebuffer([surface], target.depth_attachment).clear(depth=1.0)
         else:
-            target = self.context.framebuffer([surface], depth)
+            target = self._target([surface], depth)
             target.clear(depth=1.0)
         target.use()
         self._state("back", test=True)
-        maps = _bind_maps(self.context, self.scene)
-        self._render(self.sphere, program("planet.vert", "planet.frag", self.defines), **maps)
+        units = {}
+        for unit, (name, texture) in enumerate(maps.items()):
+            texture.use(unit)  # combine has bound others since the last band
+            units[name] = unit
+        self._render(self.sphere, program("planet.vert", "planet.frag", self.defines), **units)
         return surface, depth
 
     def shell_back(self, depth: Any) -> None:
@@ -178,7 +200,7 @@ class _Passes:
         depths = self.context.texture(self.size, 4, dtype="f4")
         self.context.framebuffer([air]).clear()
         self.context.framebuffer([depths]).clear(*[self.uniforms["empty"]] * 4)
-        self.context.framebuffer([air, depths]).use()
+        self._target([air, depths]).use()
         units = {}
         for unit, (name, texture) in enumerate(textures.items()):
             if not self.linear:
@@ -210,9 +232,13 @@ class _Passes:
 
     def _depth_only(self, texture: Any) -> Any:
         """A framebuffer without colour: one that a program leaves unwritten would be undefined."""
-        if self.linear:
-            return self.context.framebuffer([texture])
-        return self.context.framebuffer((), texture)
+        return self._target([texture]) if self.linear else self._target((), texture)
+
+    def _target(self, colors: Any, depth: Any = None) -> Any:
+        """A framebuffer whose rows are the picture's at this band."""
+        target = self.context.framebuffer(colors, depth)
+        target.viewport = (0, -self.bottom, self.size[0], self.scene.camera.height)
+        return target
 
     def _state(self, culled: str, test: bool) -> None:
         import moderngl
@@ -247,11 +273,11 @@ def _shadow(scene: Scene, shell: float, position: Float[np.ndarray, "3"]) -> tup
     return shadow_mesh(toward, tangent, 1.0, length), inside
 
 
-def _bind_maps(context: "moderngl.Context", scene: Scene) -> dict[str, int]:
-    """Upload relief and albedo, and bind them; returns the sampler uniforms."""
+def _upload_maps(context: "moderngl.Context", scene: Scene) -> dict[str, Any]:
+    """Textures of relief and albedo, by the names of their samplers."""
     import moderngl
 
-    bound = {}
+    maps = {}
     if scene.planet.relief is not None:
         unit = np.float32(float(scene.planet.relief_unit) / float(scene.planet.radius))
         heights = load_relief(scene.planet.relief) * unit
@@ -259,8 +285,7 @@ def _bind_maps(context: "moderngl.Context", scene: Scene) -> dict[str, int]:
         _check_size(context, scene.planet.relief, columns, rows)
         relief = context.texture((columns, rows), 1, heights.tobytes(), dtype="f4")
         relief.repeat_y = False
-        relief.use(0)
-        bound["relief"] = 0
+        maps["relief"] = relief
     if scene.planet.albedo is not None:
         colors = load_albedo(scene.planet.albedo)
         rows, columns, _ = colors.shape
@@ -269,9 +294,8 @@ def _bind_maps(context: "moderngl.Context", scene: Scene) -> dict[str, int]:
         albedo.build_mipmaps()
         albedo.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
         albedo.repeat_y = False
-        albedo.use(1)
-        bound["albedo"] = 1
-    return bound
+        maps["albedo"] = albedo
+    return maps
 
 
 def _check_size(context: "moderngl.Context", what: str, width: int, height: int) -> None:
@@ -286,5 +310,4 @@ def _check_size(context: "moderngl.Context", what: str, width: int, height: int)
 def _read(texture: Any) -> Float[np.ndarray, "h w 4"]:
     """Texture to array, row 0 on top: the one place where OpenGL's bottom-up rows are turned."""
     width, height = texture.size
-    values = np.frombuffer(texture.read(), dtype=np.float32).reshape(height, width, 4)
-    return np.ascontiguousarray(values[::-1])
+    return np.frombuffer(texture.read(), dtype=np.float32).reshape(height, width, 4)[::-1]

@@ -41,7 +41,10 @@ def render_image(scene: Scene, look: Look, depth_format: DepthFormat = "window24
 def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layers:
     """The layers whose depths a frame's combine shader read."""
     camera = scene.camera
-    front, back, shadow_front, shadow_back = np.moveaxis(frame.depths, -1, 0)
+    # Copies: a view of one channel would keep all four.
+    front, back, shadow_front, shadow_back = (
+        np.ascontiguousarray(frame.depths[..., k]) for k in range(4)
+    )
     textures = DepthTextures(
         front=front,
         back=back,
@@ -59,7 +62,7 @@ def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layer
         shadow_front=layers.shadow_front,
         shadow_back=layers.shadow_back,
         surface=frame.surface[..., :3] if scene.planet.albedo is not None else None,
-        planet=frame.surface[..., 3],
+        planet=np.ascontiguousarray(frame.surface[..., 3]),
         color=scene.atmosphere.color,
         reference=layers.reference,
         width_unit=layers.width_unit,
