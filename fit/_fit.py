@@ -1,113 +1,413 @@
-"""`fit`: photo and layers in, look with error bars out.
+"""`fit`: photos and layers in, look with error bars out.
 
-choose pixels ──> reduce ──> search, by descents ──> errors and verdict
-(_pixels)         (_reduce)  (_search, _solve)       (here, _result)
+choose pixels ──> samples ──> search, by descents ──> errors ──> verdict
+(_pixels)         (_stream)   (_search, _solve)       (_uncertainty)  (here, _result)
 """
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from time import perf_counter
+from typing import Any, overload
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import PARAMETERS, Layers, Look
+from model_jax import InputError, Layers, Look, Response
 
+from ._bare_limb import EVIDENCE, find_air
+from ._loss import Loss, LossName, check_loss, weigh
 from ._parameters import (
     CHANNELS,
-    FreeParameter,
-    LookVector,
+    Entries,
+    Parameter,
+    declare,
     directions,
-    named_free,
-    reported,
+    followers,
+    to_entries,
     to_look,
-    to_vector,
+    to_responses,
 )
 from ._photo import Photo
-from ._pixels import Pixels, as_picture, choose_pixels
-from ._reduce import Reduced, reduce_pixels, worst_bias
-from ._result import VERDICTS, WELL_EXPLAINED, Estimate, FitResult, LeftOut, Verdict
-from ._search import End, search
-from ._solve import CHECK, Problem, coefficient_slopes, jacobian, make_solver
+from ._pixels import Columns, PhotoLike, Pixels, as_picture, choose_pixels, take_columns, to_samples
+from ._result import (
+    STRUCTURED_PX,
+    VERDICTS,
+    WELL_EXPLAINED,
+    Errors,
+    Estimate,
+    FitResult,
+    LeftOut,
+    PhotoResult,
+    Verdict,
+)
+from ._search import End, Problem, search, state
+from ._solve import make_solver
+from ._stream import Model, Prior
+from ._traced import TracedFit, concrete, fit_traced, is_traced
+from ._uncertainty import (
+    Spread,
+    influence_maps,
+    reach_95,
+    residuals_of,
+    rounding_bound,
+    spread_of,
+)
+
+MAX_STEPS = {"nelder_mead": 4096}
+"""Steps a solver is given unless told; 256 for those with derivatives."""
+
+BELIEVED = 0.25
+"""Weight from which a sample of a robust fit counts as light to be explained: with Cauchy's loss
+that of four standard deviations of the noise."""
+
+_ROUNDS = 6
+_SAME_NOISE = 0.01
+"""Relative change of the noise estimate below which no further round is made."""
+
+
+@overload
+def fit(  # type: ignore[overload-overlap]  # a tracer passes for an array in JAX's types
+    photo: jax.core.Tracer,
+    layers: Layers,
+    look: Look = ...,
+    *,
+    free: Iterable[str] | str | None = ...,
+    response: Response = ...,
+    bounds: Mapping[str, tuple[float, float]] | None = ...,
+    priors: Mapping[str, tuple[float, float]] | None = ...,
+    tied: Mapping[str, str] | None = ...,
+    loss: str = ...,
+    solver: str = ...,
+    max_steps: int | None = ...,
+) -> TracedFit: ...
+
+
+@overload
+def fit(
+    photo: PhotoLike | Sequence[PhotoLike],
+    layers: Layers | Sequence[Layers],
+    look: Look = ...,
+    *,
+    free: Iterable[str] | str | None = ...,
+    response: Response | Sequence[Response] = ...,
+    bounds: Mapping[str, tuple[float, float]] | None = ...,
+    priors: Mapping[str, tuple[float, float]] | None = ...,
+    tied: Mapping[str, str] | None = ...,
+    loss: str = ...,
+    solver: str = ...,
+    max_steps: int | None = ...,
+) -> FitResult: ...
 
 
 def fit(
-    photo: Photo | Float[np.ndarray | jax.Array, "h w 3"],
-    layers: Layers,
+    photo: Any,
+    layers: Layers | Sequence[Layers],
     look: Look = Look(),  # noqa: B008 (a frozen record)
     *,
     free: Iterable[str] | str | None = None,
+    response: Response | Sequence[Response] = Response(),  # noqa: B008 (a frozen record)
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    tied: Mapping[str, str] | None = None,
+    loss: str = "linear",
     solver: str = "lm",
-    max_steps: int = 256,
-) -> FitResult:
-    """Fit the look of layers to a photo by least squares in linear light.
+    max_steps: int | None = None,
+) -> FitResult | TracedFit:
+    """Fit the look of layers to a photo, or to several photos, by least squares in linear light.
 
-    The model is `surface + brightness · color · tint · (lit + shadow · dark) + background`, that is
-    `model_jax.composite` without its alpha; unweighted residuals, all channels alike. While tint is
-    free its mean is 1.
+    The model is `record(composite(layers, look), response)`, of `model_jax`, without alpha:
+    `black_level + (exposure · (surface + air + background))^(1/gamma)`. Residuals are unweighted,
+    all channels alike. While tint is free its mean is 1. Samples at a photo's highest or lowest
+    code count as "at least this bright" and "at most".
 
     Args:
-        photo: a loaded photo, or linear light [h, w, 3] as floats (JAX or NumPy).
-        layers: of the same size, concrete (not traced), float32 or float64.
+        photo: a loaded photo, or linear light [h, w, 3] as floats (JAX or NumPy); or a sequence of
+            them. Several photos share the look, in physical units: brightness refers to the first
+            layers' `width_unit`, and all layers must use one length unit.
+        layers: of the photo's size, float32 or float64; one for each photo.
         look: start values; what is not free stays as it is. One number or three in `shadow` and
             `background` decides whether they are fitted as one or per channel.
-        free: names of `PARAMETERS` to fit; None means all.
+        free: names to fit, such as "brightness", "tint" (all channels), "tint.r", "exposure.2".
+            None means the look, and with several photos also black levels and exposures but the
+            first.
+        response: start values of each photo's response, or one for all.
+        bounds: name → (lower, upper), narrower than the parameter's own.
+        priors: name → (mean, standard deviation) known before.
+        tied: name → name it shall equal, of the same kind: `{"gamma.2": "gamma.1"}`.
+        loss: "linear" (least squares), "huber", "soft_l1" or "cauchy"; the robust ones doubt
+            samples whose residual is large beside the median.
         solver: lm, dogleg, gauss_newton, bfgs, lbfgs or nelder_mead, of optimistix.
         max_steps: of the solver, for each of the few descents.
 
     Returns:
         A `FitResult`; that a photo cannot be fitted is its verdict, not an error. All computing is
-        in float64, whatever the layers' type and JAX's setting.
+        in float64, whatever the layers' type and JAX's setting. Under `jax.vmap`, `jit` or `grad`,
+        where photo, look or response is traced: a `TracedFit`, arrays only, of one photo by plain
+        least squares, in JAX's precision; it is differentiable by all three.
 
     Raises:
-        InputError: sizes differ, wrong array type or shape, unknown name in `free` or `solver`.
+        InputError: sizes differ, wrong array type or shape, unknown names, contradictory bounds, a
+            prior without width, a circle of ties.
     """
-    names = named_free(free)
-    method = make_solver(solver)
-    start_time = perf_counter()
-    pixels = choose_pixels(photo, layers)
-    reduced = reduce_pixels(photo, layers, pixels)
-    reduced_time = perf_counter()
-    problem = Problem(reduced, np.asarray(layers.color, dtype=np.float64)[:3])
-    parameters = reported(look)
-    initial = to_vector(look)
-    asked, left_out = _leave_out(parameters, names, layers, problem)
-    left_out = [LeftOut(*remark) for remark in pixels.remarks] + left_out
-    why_not = _no_data(photo, pixels, reduced, asked)
+    if is_traced(photo, look, response):
+        return _fit_traced(photo, layers, look, free, response, bounds, priors, tied, loss, solver)
+    photos, all_layers = _pairs(photo, layers)
+    responses = _responses(response, len(photos))
+    parameters = declare(look, responses, free=free, bounds=bounds, priors=priors, tied=tied)
+    loss_name = check_loss(loss)
+    make_solver(solver)
+    steps = MAX_STEPS.get(solver, 256) if max_steps is None else max_steps
+    task = _Task(photos, all_layers, look, parameters, loss_name, solver, steps, free is not None)
+
+    times = [perf_counter()]
+    pixels = [choose_pixels(p, la) for p, la in zip(photos, all_layers, strict=True)]
+    unit = float(all_layers[0].width_unit)
+    columns = tuple(
+        take_columns(p, la, px, unit) for p, la, px in zip(photos, all_layers, pixels, strict=True)
+    )
+    asked, left_out = _leave_out(task, columns)
+    left_out = [LeftOut(*remark) for px in pixels for remark in px.remarks] + left_out
+    why_not = _no_data(task, pixels, columns, asked)
     if why_not:
-        result = _without_data(why_not, look, parameters, layers, pixels, left_out)
-    else:
-        end = search(problem, initial / problem.units, asked, method, max_steps)
-        result = _judge(problem, end, look, parameters, free is not None, layers, pixels, left_out)
-        if isinstance(photo, Photo) and photo.quantisation is not None:
-            result = _with_bias(result, photo, layers, pixels, problem, end)
-    seconds = {"reduce": reduced_time - start_time, "solve": perf_counter() - reduced_time}
-    return replace(result, seconds=seconds)
+        return _without_data(why_not, task, pixels, columns, left_out)
+    problem = _problem(task, columns)
+    times.append(perf_counter())
+    problem, end = _rounds(task, problem, asked)
+    times.append(perf_counter())
+    result = _judge(task, problem, end, pixels, left_out)
+    airless = _airless(task, columns, result)
+    if airless:
+        warnings = result.warnings
+        result = _without_data(airless, task, pixels, columns, left_out)
+        message = " ".join([result.message, *warnings])
+        result = replace(result, warnings=warnings, message=message)
+    times.append(perf_counter())
+    names = ("reduce", "solve", "errors")
+    spans = zip(names, pairwise(times), strict=True)
+    return replace(result, seconds={name: after - before for name, (before, after) in spans})
+
+
+def _fit_traced(
+    photo: Any,
+    layers: Any,
+    look: Look,
+    free: Any,
+    response: Any,
+    bounds: Any,
+    priors: Any,
+    tied: Any,
+    loss: str,
+    solver: str,
+) -> TracedFit:
+    """The same for a tracer, with errors for what cannot be traced."""
+    single = not isinstance(photo, Sequence) and isinstance(response, Response)
+    if not single or priors or loss != "linear" or isinstance(photo, Photo):
+        raise InputError(
+            "fit: under jit, vmap or grad it takes one array as photo, loss='linear' and no "
+            "priors; call it outside of them for more"
+        )
+    if is_traced(layers):
+        raise InputError("fit: the layers are traced; make them outside of jit, vmap or grad")
+    layers = jax.tree.map(np.asarray, layers)  # inside jit, JAX's operations on them would trace
+    known = concrete(look, response)
+    parameters = declare(known[0], [known[1]], free=free, bounds=bounds, tied=tied)
+    make_solver(solver)
+    shown = np.ones(np.shape(photo))  # any picture: which pixels may be used is the layers' affair
+    used = choose_pixels(shown, layers).used
+    return fit_traced(photo, layers, look, response, parameters, used, solver)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What was asked."""
+
+    photos: tuple[PhotoLike, ...]
+    layers: tuple[Layers, ...]
+    look: Look
+    parameters: tuple[Parameter, ...]
+    loss: LossName
+    solver: str
+    max_steps: int
+    named: bool
+    """The user named what is free."""
+
+    @property
+    def sizes(self) -> list[tuple[int, int]]:
+        return [(p.shape[0], p.shape[1]) for p in map(as_picture, self.photos)]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Samples and end point, for what a result computes on demand."""
+
+    task: _Task
+    problem: Problem
+    end: End
+    along: Float[np.ndarray, "e p"]
+    told: tuple[Parameter, ...]
+    residuals: list[Float[np.ndarray, "_ 3"]]
+    spread: Spread
+
+    def to_told(self) -> Float[np.ndarray, "t p"]:
+        """Rows of the told parameters along the free directions."""
+        rows = [p.of(self.along) for p in self.told]
+        return np.array(rows).reshape(len(self.told), self.along.shape[1])
+
+    def influence(self, name: str) -> list[Float[np.ndarray, "_ _ 3"]]:
+        """`FitResult.influence` for all photos."""
+        row = self.to_told()[[p.name for p in self.told].index(name)]
+        problem = self.problem
+        return influence_maps(
+            problem.columns,
+            self.task.sizes,
+            problem.samples,
+            problem.model,
+            self.end.vector,
+            self.along,
+            row,
+            self.spread.hessian,
+        )
+
+    def weights(self) -> list[Float[np.ndarray, "_ _"]]:
+        """`FitResult.weights` for all photos."""
+        found = []
+        sizes = self.task.sizes
+        for c, size, residual in zip(self.problem.columns, sizes, self.residuals, strict=True):
+            weights = np.full(size, np.nan, np.float32)
+            believed = _believed(residual, self.problem.model.loss)
+            weights.reshape(-1)[c.index] = believed.min(axis=-1)
+            found.append(weights)
+        return found
+
+
+def _believed(residual: Float[np.ndarray, "n 3"], loss: Loss) -> Float[np.ndarray, "n 3"]:
+    """Weight that a loss gives to samples, 0 to 1; 1 for clipped ones."""
+    with jax.enable_x64(True):
+        return np.asarray(weigh(jnp.asarray(np.nan_to_num(residual)), None, loss)[2])
+
+
+def _pairs(
+    photo: Any, layers: Layers | Sequence[Layers]
+) -> tuple[tuple[PhotoLike, ...], tuple[Layers, ...]]:
+    is_one = isinstance(photo, Photo | np.ndarray | jax.Array)
+    photos: tuple[Any, ...] = (photo,) if is_one else tuple(photo)
+    many = (layers,) if isinstance(layers, Layers) else tuple(layers)
+    if len(photos) != len(many) or not photos:
+        raise InputError(
+            f"fit: got {len(photos)} photos and {len(many)} sets of layers; give one for each"
+        )
+    return photos, many
+
+
+def _responses(response: Response | Sequence[Response], count: int) -> tuple[Response, ...]:
+    if isinstance(response, Response):
+        return (response,) * count
+    responses = tuple(response)
+    if len(responses) != count:
+        raise InputError(f"fit: got {len(responses)} responses for {count} photos; give one each")
+    return responses
+
+
+def _problem(task: _Task, columns: tuple[Columns, ...]) -> Problem:
+    """Samples on the device, with plain least squares as the model."""
+    free = [p for p in task.parameters if p.role != "fixed"]
+    gammas = [p for p in task.parameters if p.family == "gamma"]
+    linear = not any(p in free for p in gammas) and all(p.value == 1 for p in gammas)
+    with jax.enable_x64(True):
+        samples = jax.device_put(to_samples(columns), may_alias=True)
+    return state(columns, samples, task.parameters, Model(Loss("linear"), None, linear))
+
+
+def _rounds(task: _Task, problem: Problem, asked: tuple[Parameter, ...]) -> tuple[Problem, End]:
+    """The search; for all but plain least squares again and again, with the noise found before."""
+    start = to_entries(task.parameters)
+    has_priors = any(p.prior is not None for p in asked)
+    if task.loss == "linear" and not has_priors and problem.samples.clipped is None:
+        return problem, search(problem, start, asked, task.solver, task.max_steps)
+    believing = replace(problem.samples, clipped=None)
+    rough = state(problem.columns, believing, task.parameters, problem.model).rough()
+    end = search(rough, start, asked, task.solver, task.max_steps, last=False)
+    noise = 0.0
+    # Cauchy has valleys of its own; Huber, which has none, shows it the right one.
+    losses: list[LossName] = ["huber"] if task.loss == "cauchy" else []
+    for number in range(_ROUNDS):
+        if not end.finite:
+            return problem, end
+        found = _noise(task, problem, end, _residuals(problem, end))
+        if number > 1 and abs(found - noise) <= _SAME_NOISE * noise:
+            break
+        noise = found
+        with jax.enable_x64(True):
+            priced = Loss(losses.pop() if losses else task.loss, jnp.asarray(noise))
+        prior = _prior(asked, noise, len(start))
+        problem = problem.with_model(Model(priced, prior, problem.model.linear))
+        end = search(
+            problem.rough(),
+            start,
+            asked,
+            task.solver,
+            task.max_steps,
+            seeds=[end.vector],
+            last=False,
+        )
+    return problem, search(problem, start, asked, task.solver, task.max_steps, seeds=[end.vector])
+
+
+def _residuals(problem: Problem, end: End) -> list[Float[np.ndarray, "_ 3"]]:
+    return residuals_of(problem.columns, problem.samples, problem.model, end.vector)
+
+
+def _noise(
+    task: _Task, problem: Problem, end: End, residuals: Sequence[Float[np.ndarray, "_ 3"]]
+) -> float:
+    """Standard deviation of a measured sample; for robust losses by the median.
+
+    1.4826 median |r| is the standard deviation of normal residuals (Hampel, J. Am. Stat. Assoc. 69,
+    1974). Never quite zero: a prior and a bound need something to be measured in.
+    """
+    least = 1e-9 * problem.light_max
+    known = np.concatenate([r[np.isfinite(r)] for r in residuals])
+    if not known.size:
+        return least
+    if task.loss == "linear":
+        freedom = max(known.size - len(end.free), 1)
+        return max(float(np.sqrt((known**2).sum() / freedom)), least)
+    return max(1.4826 * float(np.median(np.abs(known))), least)
+
+
+def _prior(asked: Sequence[Parameter], noise: float, size: int) -> Prior | None:
+    mean, weight = np.zeros(size), np.zeros(size)
+    for p in asked:
+        if p.prior is not None:
+            mean[p.entries[0]], weight[p.entries[0]] = p.prior.mean, (noise / p.prior.sigma) ** 2
+    with jax.enable_x64(True):
+        return Prior(jnp.asarray(mean), jnp.asarray(weight)) if weight.any() else None
 
 
 def _leave_out(
-    parameters: tuple[FreeParameter, ...],
-    names: tuple[str, ...],
-    layers: Layers,
-    problem: Problem,
-) -> tuple[tuple[FreeParameter, ...], list[LeftOut]]:
+    task: _Task, columns: Sequence[Columns]
+) -> tuple[tuple[Parameter, ...], list[LeftOut]]:
     """What can be fitted at all: no shadow weight without shadow, no tint without colour."""
-    asked = [p for p in parameters if p.family in names]
+    asked = [p for p in task.parameters if p.role == "free"]
     left_out: list[LeftOut] = []
-    reduced = problem.reduced
+    count = sum(len(c.lit) for c in columns)
+    has_dark = any(c.dark is not None and (c.dark > c.width_error).any() for c in columns)
+    has_lit = any((c.lit > c.width_error).any() for c in columns)
     why = None
-    if not layers.has_shadow:
+    if not any(layers.has_shadow for layers in task.layers):
         why = "the layers hold no shadow: no sun is given, or no air in view is in shadow"
-    elif reduced.count and not reduced.has_dark:
+    elif count and not has_dark:
         why = "no pixel used is in shadow"
-    elif reduced.count and not reduced.has_lit and "brightness" in names:
+    elif count and not has_lit and any(p.family == "brightness" for p in asked):
         why = "no pixel used is lit, so only brightness × shadow is told; shadow is held"
-    if why and "shadow" in names:
+    if why and any(p.family == "shadow" for p in asked):
         asked = [p for p in asked if p.family != "shadow"]
         left_out.append(LeftOut("shadow weight", why))
     for k, channel in enumerate(CHANNELS):
-        if problem.color[k] == 0:
+        if all(c.color[k] == 0 for c in columns):
             colourless = {f"tint.{channel}", f"shadow.{channel}"}
             why = f"the air's color is 0 in channel {channel}"
             left_out += [LeftOut(p.name, why) for p in asked if p.name in colourless]
@@ -116,197 +416,344 @@ def _leave_out(
 
 
 def _no_data(
-    photo: Photo | np.ndarray | jax.Array,
-    pixels: Pixels,
-    reduced: Reduced,
-    asked: tuple[FreeParameter, ...],
+    task: _Task,
+    pixels: Sequence[Pixels],
+    columns: Sequence[Columns],
+    asked: tuple[Parameter, ...],
 ) -> str | None:
     """Why there is nothing to fit, or None."""
-    if not pixels.count:
-        counts = ", ".join(f"{count} {reason}" for reason, count in pixels.excluded.items())
-        return f"no pixel can be used ({counts})"
-    need = directions(asked)[0].shape[1] + 1
-    if pixels.count < need:
-        return f"the number of pixels that can be used is {pixels.count}, needed are {need}"
-    if not as_picture(photo)[pixels.used].any() or reduced.light == 0:
-        return "the photo is black where the air is"
-    if reduced.constant:
-        return "the photo is the same in all pixels used, the air is not"
+    for number, (photo, px, c) in enumerate(zip(task.photos, pixels, columns, strict=True)):
+        which = f"photo {number + 1}: " if len(columns) > 1 else ""
+        if not px.count:
+            counts = ", ".join(f"{count} {reason}" for reason, count in px.excluded.items())
+            return f"{which}no pixel can be used ({counts})"
+        measured = np.ones_like(c.light, bool) if c.clipped is None else c.clipped == 0
+        if c.clipped is not None and not measured.any():
+            what = "saturated" if (c.clipped > 0).any() else "black"
+            return f"{which}the photo is {what} where the air is"
+        if not as_picture(photo)[px.used].any():
+            return f"{which}the photo is black where the air is"
+        light = np.where(measured, c.light, np.nan)
+        constant = not (np.nanmax(light, axis=0) > np.nanmin(light, axis=0)).any()
+        if constant and c.clipped is None and _varies(c):
+            return f"{which}the photo is the same in all pixels used, the air is not"
+    need = directions(asked, task.parameters)[0].shape[1] + 1
+    count = sum(px.count for px in pixels)
+    if count < need:
+        return f"the number of pixels that can be used is {count}, needed are {need}"
     return None
 
 
+def _varies(columns: Columns) -> bool:
+    """The air's width is not the same everywhere."""
+    parts = [columns.lit] if columns.dark is None else [columns.lit, columns.dark]
+    return any(float(np.ptp(part)) > 2 * columns.width_error for part in parts)
+
+
 def _judge(
+    task: _Task,
     problem: Problem,
     end: End,
-    look: Look,
-    parameters: tuple[FreeParameter, ...],
-    named: bool,
-    layers: Layers,
-    pixels: Pixels,
+    pixels: Sequence[Pixels],
     left_out: list[LeftOut],
 ) -> FitResult:
     """Errors and verdict at the end point."""
-    reduced, units = problem.reduced, problem.units
-    along, _ = directions(end.free)
-    slopes = jacobian(problem, end.vector, along)
-    square_sum = problem.square_sum(end.vector) if end.finite else np.nan
-    freedom = 3 * reduced.count - along.shape[1]
-    variance = max(square_sum, 0.0) / freedom if end.finite else np.nan
-    # Gauss–Newton's promise of how far the square sum would still fall: the gradient, scaled.
-    q, r = np.linalg.qr(slopes)
-    promise = float(((q.T @ problem.residual(end.vector).reshape(-1)) ** 2).sum())
-    verdict = Verdict.CONVERGED
-    if not end.finite:
-        verdict = Verdict.DIVERGED
-    elif not promise <= CHECK * variance + problem.rounding():
-        verdict = Verdict.NOT_CONVERGED
-    elif end.at_bound:
-        verdict = Verdict.AT_BOUND
-    elif end.untold and (named or any(p.family == "brightness" for p, _ in end.untold)):
-        verdict = Verdict.NOT_IDENTIFIABLE
-
-    vector, initial = end.vector * units, to_vector(look)
-    told = _told(end)
-    to_told = np.array([p.of(along) * units[p.entries[0]] for p in told])
-    to_told = to_told.reshape(len(told), along.shape[1])
-    spread = to_told @ np.linalg.inv(r) if told else to_told
-    covariance = variance * (spread @ spread.T)
-    stderr = np.sqrt(np.diag(covariance))
-    lengths = np.linalg.norm(spread, axis=1)
-    correlation = np.clip(spread @ spread.T / np.outer(lengths, lengths), -1, 1)
-    estimates = {
-        p.name: _estimate(
-            p,
-            vector,
-            initial,
-            free=p in told or p in end.at_bound,
-            stderr=float(stderr[told.index(p)]) if p in told and end.finite else None,
+    along, _ = directions(end.free, task.parameters)
+    told = tuple(_told(task, end)) if end.finite else ()
+    spread: Spread | None = None
+    covariance = np.zeros((0, 0))
+    bias: list[float | None] = [None] * len(told)
+    reach = np.zeros(len(told))
+    evidence = None
+    noise = np.nan
+    residuals = _residuals(problem, end)
+    if end.finite:
+        noise = _noise(task, problem, end, residuals)
+        spread = spread_of(
+            problem.columns,
+            task.sizes,
+            problem.samples,
+            problem.model,
+            end.vector,
+            along,
+            residuals,
+            noise,
         )
-        for p in parameters
-    }
-    total = reduced.variation
-    explained = 1 - square_sum / total if total > 0 and end.finite else None
-    left_out = left_out + [LeftOut(p.name, why) for p, why in end.untold]
-    sinks = any(
-        e.stderr is not None and e.value + 3 * e.stderr < 0
-        for name, e in estimates.items()
-        if name.startswith("background")
-    )
-    return FitResult(
+        evidence = Evidence(task, problem, end, along, told, residuals, spread)
+        rows = evidence.to_told()
+        covariance = rows @ spread.covariance @ rows.T
+        reach = reach_95(spread.freedom(rows))
+        bias = _bias(evidence, rows)
+    stderr = np.sqrt(np.maximum(np.diag(covariance), 0))
+    # The told tints add up to 3; a length of zero is a parameter that nothing can move.
+    lengths = np.where(stderr > 0, stderr, 1.0)
+    correlation = np.clip(covariance / np.outer(lengths, lengths), -1, 1)
+    np.fill_diagonal(correlation, 1.0)
+    names = [p.name for p in told]
+    held = {p.name for flat in end.flat for p in flat.held}
+    estimates = {}
+    for p in task.parameters:
+        k = names.index(p.name) if p.name in names else None
+        estimates[p.name] = _estimate(
+            p,
+            float(p.of(end.vector)),
+            role=_role(p, names, end, held),
+            stderr=None if k is None else float(stderr[k]),
+            reach=None if k is None else float(reach[k] * stderr[k]),
+            bias=None if k is None else bias[k],
+        )
+    photos = tuple(_photo_results(task, problem, end, pixels, residuals))
+    left_out = left_out + [
+        LeftOut(p.name, f"{flat.why}; held at its start value")
+        for flat in end.flat
+        for p in flat.held
+    ]
+    verdict = _verdict(task, end)
+    errors = None
+    if spread is not None:
+        errors = Errors(
+            noise=noise,
+            correlation_px=spread.correlation_px,
+            block_px=spread.block_px,
+            blocks=spread.blocks,
+            effective_samples=problem.count / spread.area,
+        )
+    result = FitResult(
         verdict=verdict.label,
-        message=_message(verdict, explained, end, left_out, sinks),
+        message="",
+        warnings=(),
         parameters=estimates,
-        correlation_names=tuple(p.name for p in told),
+        correlation_names=tuple(names),
         correlation=correlation,
         covariance=covariance,
-        residual_rms=float(np.sqrt(max(square_sum, 0.0) / (3 * reduced.count))) * reduced.light,
-        explained=explained,
-        used=pixels.used,
-        excluded=pixels.excluded,
+        errors=errors,
+        look=to_look(end.vector, task.look),
+        photos=photos,
         left_out=tuple(left_out),
-        look=to_look(vector, look) if end.finite else look,
-        width_unit=float(layers.width_unit),
+        loss=task.loss,
+        solver=task.solver,
+        history=end.history,
+        second_opinion=end.second,
+        evidence=evidence,
     )
+    warnings = _warnings(result)
+    message = _message(verdict, result, [p.name for p in end.at_bound])
+    return replace(result, warnings=warnings, message=" ".join([message, *warnings]))
 
 
-def _told(end: End) -> list[FreeParameter]:
-    """The free parameters in report order; a single free tint is fixed by the mean of 1."""
-    tints = sum(p.family == "tint" for p in end.free)
-    return [p for p in end.free if p.family != "tint" or tints > 1]
+def _verdict(task: _Task, end: End) -> Verdict:
+    if not end.finite:
+        return Verdict.DIVERGED
+    if not end.settled:
+        return Verdict.NOT_CONVERGED
+    if end.at_bound:
+        return Verdict.AT_BOUND
+    held = [p for flat in end.flat for p in flat.held]
+    if held and (task.named or any(p.family == "brightness" for p in held)):
+        return Verdict.NOT_IDENTIFIABLE
+    return Verdict.CONVERGED
 
 
-def _with_bias(
-    result: FitResult,
-    photo: Photo,
-    layers: Layers,
-    pixels: Pixels,
+def _told(task: _Task, end: End) -> list[Parameter]:
+    """Free parameters and what is tied to them; a lone free tint is fixed by the mean."""
+    members = [q for p in end.free for q in followers(p, task.parameters)]
+    tints = sum(p.family == "tint" for p in members)
+    names = {p.name for p in members if p.family != "tint" or tints > 1}
+    return [p for p in task.parameters if p.name in names]
+
+
+def _role(p: Parameter, told: Sequence[str], end: End, held: set[str]) -> str:
+    if p.role == "tied":
+        return "tied"
+    if p.name in told:
+        return "free"
+    if any(p.name == q.name for q in end.at_bound):
+        return "at_bound"
+    return "held" if p.role == "free" or p.name in held else "fixed"
+
+
+def _bias(evidence: Evidence, rows: Float[np.ndarray, "t p"]) -> list[float | None]:
+    """Each told parameter's bound on the bias by the photos' rounding to codes."""
+    task, problem = evidence.task, evidence.problem
+    half_steps: list[np.ndarray | None] = []
+    for photo, c in zip(task.photos, problem.columns, strict=True):
+        steps = None
+        if isinstance(photo, Photo) and photo.codes is not None and photo.half_steps is not None:
+            steps = photo.half_steps[photo.codes.reshape(-1, 3)[c.index]].astype(np.float64)
+        half_steps.append(steps)
+    if not len(rows) or all(steps is None for steps in half_steps):
+        return [None] * len(rows)
+    bound = rounding_bound(
+        problem.columns,
+        half_steps,
+        problem.samples,
+        problem.model,
+        evidence.end.vector,
+        evidence.along,
+        rows,
+        evidence.spread.hessian,
+    )
+    return [float(b) for b in bound]
+
+
+def _photo_results(
+    task: _Task,
     problem: Problem,
     end: End,
-) -> FitResult:
-    """The result with each estimate's bound on the bias by the photo's rounding to codes."""
-    told = _told(end)
-    if not told or not end.finite:
-        return result
-    along, _ = directions(end.free)
-    units = problem.units
-    to_told = np.array([p.of(along) * units[p.entries[0]] for p in told])
-    _, r = np.linalg.qr(jacobian(problem, end.vector, along))
-    inverse = np.linalg.inv(r)
-    slopes = coefficient_slopes(end.vector, problem.color) @ along
-    response = slopes @ (inverse @ inverse.T @ to_told.T)
-    bounds = worst_bias(photo, layers, pixels, problem.reduced, response)
-    parameters = dict(result.parameters)
-    for p, bound in zip(told, bounds, strict=True):
-        parameters[p.name] = replace(parameters[p.name], quantisation_bound=float(bound))
-    return replace(result, parameters=parameters)
+    pixels: Sequence[Pixels],
+    residuals: Sequence[Float[np.ndarray, "_ 3"]],
+) -> list[PhotoResult]:
+    found = []
+    for c, px, layers, residual, response in zip(
+        problem.columns, pixels, task.layers, residuals, to_responses(end.vector), strict=True
+    ):
+        measured = np.isfinite(residual)
+        believed = measured & (_believed(residual, problem.model.loss) > BELIEVED)
+        n = np.maximum(believed.sum(axis=0), 1)
+        mean = np.where(believed, c.light, 0).sum(axis=0) / n
+        total = float((np.where(believed, c.light - mean, 0) ** 2).sum())
+        left = float((residual[believed] ** 2).sum())
+        square_sum = float((residual[measured] ** 2).sum())
+        found.append(
+            PhotoResult(
+                used=px.used,
+                excluded=px.excluded,
+                clipped=0 if c.clipped is None else int((c.clipped != 0).sum()),
+                residual_rms=float(np.sqrt(square_sum / max(measured.sum(), 1))),
+                explained=1 - left / total if total > 0 and end.finite else None,
+                response=response,
+                width_unit=float(layers.width_unit),
+            )
+        )
+    return found
 
 
 def _estimate(
-    parameter: FreeParameter,
-    vector: LookVector,
-    initial: LookVector,
-    free: bool,
-    stderr: float | None,
+    p: Parameter,
+    value: float,
+    *,
+    role: str,
+    stderr: float | None = None,
+    reach: float | None = None,
+    bias: float | None = None,
 ) -> Estimate:
     return Estimate(
-        value=float(parameter.of(vector)),
+        value=value,
         stderr=stderr,
-        initial=float(parameter.of(initial)),
-        free=free,
-        unit=PARAMETERS[parameter.family].unit,
-        bounds=parameter.bounds,
-        quantisation_bound=None,
+        interval=None if reach is None else (value - reach, value + reach),
+        initial=p.value,
+        role=role,
+        unit=p.unit,
+        bounds=(p.lower, p.upper),
+        prior=None if p.prior is None else (p.prior.mean, p.prior.sigma),
+        tied_to=p.tied_to,
+        quantisation_bound=bias,
+        meaning=p.meaning,
     )
+
+
+def _airless(task: _Task, columns: Sequence[Columns], result: FitResult) -> str | None:
+    """Why no photo shows any air, or None.
+
+    Asked only where the look leaves more of the light unexplained than a bare limb could: a blurred
+    edge does not have the shape of a shell, and the question costs seconds.
+    """
+    found: list[str] = []
+    for photo, layers, c, one in zip(task.photos, task.layers, columns, result.photos, strict=True):
+        well = one.explained is not None and one.explained >= WELL_EXPLAINED
+        if well or layers.planet is None or not np.any(layers.planet):
+            return None
+        widths = []
+        for width in (c.lit, c.dark):
+            if width is not None:
+                full = np.zeros(one.used.shape, np.float32)
+                full.reshape(-1)[c.index] = width
+                widths.append(full)
+        used = one.used
+        if task.loss != "linear":
+            used = used & (result.weights(len(found)) > BELIEVED)
+        evidence = find_air(as_picture(photo), np.asarray(layers.planet) != 0, used, widths)
+        if evidence.has_air:
+            return None
+        found.append(
+            "no atmosphere shows: the planet's bare limb, blurred by "
+            f"{evidence.bare.blur_px:.1f} px, explains the light beyond it as well "
+            f"(the shell's ΔBIC is {evidence.delta_bic:.0f}, needed are more than {EVIDENCE:.0f})"
+        )
+    return found[0]
 
 
 def _without_data(
     why: str,
-    look: Look,
-    parameters: tuple[FreeParameter, ...],
-    layers: Layers,
-    pixels: Pixels,
+    task: _Task,
+    pixels: Sequence[Pixels],
+    columns: Sequence[Columns],
     left_out: list[LeftOut],
 ) -> FitResult:
     """The start look, with the reason that nothing was fitted."""
-    initial = to_vector(look)
     sentence, remedy = VERDICTS[Verdict.NO_DATA]
+    start: Entries = to_entries(task.parameters)
+    photos = [
+        PhotoResult(
+            used=px.used,
+            excluded=px.excluded,
+            clipped=0 if c.clipped is None else int((c.clipped != 0).sum()),
+            residual_rms=float("nan"),
+            explained=None,
+            response=response,
+            width_unit=float(layers.width_unit),
+        )
+        for px, c, layers, response in zip(
+            pixels, columns, task.layers, to_responses(start), strict=True
+        )
+    ]
     return FitResult(
         verdict=Verdict.NO_DATA.label,
         message=f"{sentence}: {why}. To do: {remedy}.",
-        parameters={p.name: _estimate(p, initial, initial, False, None) for p in parameters},
+        warnings=(),
+        parameters={p.name: _estimate(p, p.value, role="fixed") for p in task.parameters},
         correlation_names=(),
         correlation=np.zeros((0, 0)),
         covariance=np.zeros((0, 0)),
-        residual_rms=float("nan"),
-        explained=None,
-        used=pixels.used,
-        excluded=pixels.excluded,
+        errors=None,
+        look=task.look,
+        photos=tuple(photos),
         left_out=tuple(left_out),
-        look=look,
-        width_unit=float(layers.width_unit),
+        loss=task.loss,
+        solver=task.solver,
+        history=(),
+        second_opinion="",
     )
 
 
-def _message(
-    verdict: Verdict, explained: float | None, end: End, left_out: list[LeftOut], sinks: bool
-) -> str:
-    sentence, remedy = VERDICTS[verdict]
-    if end.at_bound:
-        sentence += f" ({', '.join(p.name for p in end.at_bound)})"
-    if explained is not None:
-        share = _percent(explained)
-        sentence += f"; it explains {share} of the light's variance in the pixels used"
-    if left_out:
-        sentence += f"; left out: {', '.join(item.what for item in left_out)}"
-    errors = "Standard errors take the pixels' residuals as independent."
+def _warnings(result: FitResult) -> tuple[str, ...]:
+    found = []
+    explained, errors = result.explained, result.errors
     if explained is not None and explained < WELL_EXPLAINED:
-        errors += (
-            " Look at what is left over: where it has structure, this look cannot follow the photo "
-            "and the true errors are larger."
+        found.append(
+            "Look at what is left over: where it has structure, this look cannot follow the photo."
         )
-    if sinks:
-        errors += " The background came out negative: the model takes light away."
-    return f"{sentence}. " + (f"To do: {remedy}. " if remedy else "") + errors
+    if errors is not None and errors.correlation_px > STRUCTURED_PX and (explained or 0) < 1 - 1e-6:
+        found.append(
+            f"What is left over hangs together over {errors.correlation_px:.0f} pixels, which is "
+            "no noise: mask what is not air, or use a robust loss."
+        )
+    background = [e for n, e in result.parameters.items() if n.startswith("background")]
+    if any(e.stderr is not None and e.value + 3 * e.stderr < 0 for e in background):
+        found.append("The background came out negative: the model takes light away.")
+    return tuple(found)
+
+
+def _message(verdict: Verdict, result: FitResult, at_bound: Sequence[str]) -> str:
+    sentence, remedy = VERDICTS[verdict]
+    if at_bound:
+        sentence += f" ({', '.join(at_bound)})"
+    if result.explained is not None:
+        share = _percent(result.explained)
+        sentence += f"; it explains {share} of the light's variance in the pixels used"
+    if result.left_out:
+        sentence += f"; left out: {', '.join(item.what for item in result.left_out)}"
+    return f"{sentence}." + (f" To do: {remedy}." if remedy else "")
 
 
 def _percent(share: float) -> str:

@@ -1,102 +1,140 @@
-"""Between a `Look` and the ten numbers that a fit moves, and which of them it may move.
+"""The parameters of a fit as records, and the vector of entries that the model computes with.
 
-Everything below the `Look` works on one vector of ten entries (`ENTRIES`): a weight or a level that
-the look gives as one number stands there three times. A fit moves it along *directions*, one column
-for each degree of freedom: a shared number moves its three entries together, and the free tints
-move so that their sum stays what it is (mean 1), n channels having n - 1 directions.
+`declare` makes one `Parameter` record for each number that a result reports: of the look
+(brightness, shadow, tint.r …) and of each photo's response (exposure, gamma, black_level, with
+several photos exposure.1, exposure.2 …). Below it all is one vector of *entries*: ten of the look
+(a weight or a level that the look gives as one number stands there three times), then three for
+each photo. A fit moves entries along *directions*, one column for each degree of freedom: a shared
+number moves its entries together, tied parameters move together, and free tints keep their sum.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import PARAMETERS, InputError, Look
+from model_jax import PARAMETERS, RESPONSE_PARAMETERS, InputError, Look, Response
+from model_jax import Parameter as Meaning
+
+from ._bijections import from_tints, from_value, inside, mean_free
 
 CHANNELS = ("r", "g", "b")
-
-ENTRIES = (
-    "brightness",
-    *(f"{name}.{channel}" for name in ("shadow", "tint", "background") for channel in CHANNELS),
-)
-"""The ten entries of the vector, in order."""
-
+LOOK_ENTRIES = 10
+RESPONSE_ENTRIES = 3
 BRIGHTNESS, SHADOW, TINT, BACKGROUND = 0, slice(1, 4), slice(4, 7), slice(7, 10)
 
-LookVector = Float[np.ndarray, "10"]
+FAMILIES: dict[str, Meaning] = PARAMETERS | RESPONSE_PARAMETERS
+"""Every field of `Look` and `Response`."""
 
-_ORDER = ("brightness", "tint", "shadow", "background")
+Entries = Float[np.ndarray, " e"]
+
+_ORDER = ("brightness", "tint", "shadow", "background", "exposure", "gamma", "black_level")
 """Who is told first: when two act alike in the pixels used, the later one is held."""
 
 
 @dataclass(frozen=True)
-class FreeParameter:
-    """One reported number of a fit: `brightness`, `tint.g`, `shadow`, `background.b` …"""
+class Prior:
+    """What was known before the photo: a normal distribution."""
+
+    mean: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a fit."""
 
     name: str
-    """As in reports."""
+    """As in reports: brightness, tint.g, shadow, exposure.2 …"""
     family: str
-    """Its field in `Look`, a key of `PARAMETERS`."""
+    """Its field in `Look` or `Response`, a key of `FAMILIES`."""
     entries: tuple[int, ...]
     """Where it stands in the vector; all entries are equal."""
+    value: float
+    """Start value."""
+    unit: str
+    lower: float
+    upper: float
+    """Closed range of allowed values; infinite where there is no bound."""
+    scale: float
+    """Typical size, where the start does not tell it."""
+    meaning: str
+    role: Literal["free", "fixed", "tied"]
+    tied_to: str | None = None
+    """The parameter it equals."""
+    prior: Prior | None = None
 
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Closed range of allowed values; infinite where there is no bound."""
-        return PARAMETERS[self.family].lower, PARAMETERS[self.family].upper
-
-    def of(self, vector: Float[np.ndarray, "10 ..."]) -> Any:
+    def of(self, vector: Float[np.ndarray, "e ..."]) -> Any:
         """Its number in a vector, its row in a matrix."""
         return vector[self.entries[0]]
 
 
-def named_free(free: Iterable[str] | str | None) -> tuple[str, ...]:
-    """Names of look parameters to fit, checked; None means all of them.
+def declare(
+    look: Look,
+    responses: Sequence[Response],
+    *,
+    free: Iterable[str] | str | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    tied: Mapping[str, str] | None = None,
+) -> tuple[Parameter, ...]:
+    """Records of all parameters, checked.
+
+    Args:
+        free: names or families to fit; None means `default_free`.
+        bounds: name or family → (lower, upper), inside the parameter's own range.
+        priors: name or family → (mean, sigma).
+        tied: name → the name it shall equal, of the same family; may form chains.
 
     Raises:
-        InputError: a name that is not in `PARAMETERS`, or none at all.
+        InputError: an unknown name, nothing free, contradictory bounds, a prior without width, a
+            circle of ties, a start that is not a number.
     """
-    if free is None:
+    parameters = {p.name: p for p in _unchanged(look, responses)}
+    names = default_free(len(responses)) if free is None else free
+    for name in _expand("free", names, parameters):
+        parameters[name] = replace(parameters[name], role="free")
+    for key, (lower, upper) in (bounds or {}).items():
+        for name in _expand("bounds", key, parameters):
+            parameters[name] = _bounded(parameters[name], lower, upper)
+    for key, (mean, sigma) in (priors or {}).items():
+        for name in _expand("prior", key, parameters):
+            parameters[name] = replace(parameters[name], prior=_prior(name, mean, sigma))
+    _tie(parameters, tied or {})
+    for name in {n for key in bounds or {} for n in _expand("bounds", key, parameters)}:
+        p = parameters[name]
+        if p.role == "fixed" and not p.lower <= p.value <= p.upper:
+            raise InputError(
+                f"bounds: {name} is held at {p.value:g}, outside {p.lower:g} to {p.upper:g}; "
+                "free it or change one of them"
+            )
+    if not any(p.role == "free" for p in parameters.values()):
+        raise InputError(f"free: names nothing to fit; choose from {_choices(parameters)}")
+    return tuple(parameters.values())
+
+
+def default_free(photos: int) -> tuple[str, ...]:
+    """What is fitted when nobody says: the look; with several photos levels and exposures too.
+
+    Exposures are relative to the first photo's, and each photo's level is its own.
+    """
+    if photos == 1:
         return tuple(PARAMETERS)
-    names = (free,) if isinstance(free, str) else tuple(free)
-    for name in names:
-        if name not in PARAMETERS:
-            raise InputError(f"free: {name!r} is no look parameter; choose from {list(PARAMETERS)}")
-    if not names:
-        raise InputError(f"free: names nothing to fit; choose from {list(PARAMETERS)}")
-    return names
+    exposures = [f"exposure.{k}" for k in range(2, photos + 1)]
+    return ("brightness", "shadow", "tint", "black_level", *exposures)
 
 
-def reported(look: Look) -> tuple[FreeParameter, ...]:
-    """Every number a result reports, in `PARAMETERS`' order; per channel where the look is."""
-    first = {"brightness": 0, "shadow": 1, "tint": 4, "background": 7}
-    parameters: list[FreeParameter] = []
-    for family, start in first.items():
-        if family == "brightness":
-            parameters.append(FreeParameter(family, family, (start,)))
-        elif np.shape(getattr(look, family)) == ():
-            parameters.append(FreeParameter(family, family, (start, start + 1, start + 2)))
-        else:
-            parameters += [
-                FreeParameter(f"{family}.{channel}", family, (start + k,))
-                for k, channel in enumerate(CHANNELS)
-            ]
-    return tuple(parameters)
-
-
-def to_vector(look: Look) -> LookVector:
-    """The ten numbers of a look, float64."""
-    vector = np.empty(10)
-    vector[BRIGHTNESS] = np.asarray(look.brightness)
-    vector[SHADOW] = np.asarray(look.shadow)
-    vector[TINT] = np.asarray(look.tint)
-    vector[BACKGROUND] = np.asarray(look.background)
+def to_entries(parameters: Sequence[Parameter]) -> Entries:
+    """The vector of the start values."""
+    vector = np.zeros(1 + max(entry for p in parameters for entry in p.entries))
+    for p in parameters:
+        vector[list(p.entries)] = p.value
     return vector
 
 
-def to_look(vector: LookVector, like: Look) -> Look:
+def to_look(vector: Entries, like: Look) -> Look:
     """The look of a vector, with one number or three as in `like`."""
 
     def part(values: np.ndarray, old: Any) -> Any:
@@ -110,10 +148,24 @@ def to_look(vector: LookVector, like: Look) -> Look:
     )
 
 
-def settle_tint(vector: LookVector, free: Sequence[FreeParameter]) -> LookVector:
+def to_responses(vector: Entries) -> tuple[Response, ...]:
+    """The response of each photo."""
+    rows = vector[LOOK_ENTRIES:].reshape(-1, RESPONSE_ENTRIES)
+    return tuple(Response(*row) for row in rows)
+
+
+def followers(parameter: Parameter, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """The parameter itself and all that are tied to it."""
+    tied = [p for p in parameters if p.tied_to == parameter.name]
+    return (parameter, *tied)
+
+
+def settle_tint(
+    vector: Entries, free: Sequence[Parameter], parameters: Sequence[Parameter]
+) -> Entries:
     """The vector with its free tints multiplied so that the mean of all three is 1."""
-    moved = [p.entries[0] for p in free if p.family == "tint"]
-    if not moved:
+    moved = np.flatnonzero(_tint_members(free, parameters)) + TINT.start
+    if not len(moved):
         return vector
     settled = vector.copy()
     rest = 3.0 - (vector[TINT].sum() - vector[moved].sum())
@@ -123,33 +175,216 @@ def settle_tint(vector: LookVector, free: Sequence[FreeParameter]) -> LookVector
 
 
 def directions(
-    free: Sequence[FreeParameter],
-) -> tuple[Float[np.ndarray, "10 p"], list[tuple[FreeParameter, ...]]]:
+    free: Sequence[Parameter], parameters: Sequence[Parameter]
+) -> tuple[Float[np.ndarray, "e p"], list[tuple[Parameter, ...]]]:
     """Columns along which a fit moves the vector, told-first ones first.
 
     Returns:
-        The columns, and for each the parameters it moves (all free tints, or one parameter).
+        The columns, and for each the free parameters it moves (all free tints, or one parameter).
     """
-    columns: list[np.ndarray] = []
-    moved: list[tuple[FreeParameter, ...]] = []
+    size = 1 + max(entry for p in parameters for entry in p.entries)
+    columns: list[np.ndarray] = [np.zeros((size, 0))]
+    moved: list[tuple[Parameter, ...]] = []
     for family in _ORDER:
         members = [p for p in free if p.family == family]
-        unit = np.zeros((10, len(members)))
-        for column, parameter in enumerate(members):
-            unit[list(parameter.entries), column] = 1.0
-        if family == "tint" and members:
-            unit = unit @ _mean_free(len(members))
+        if family == "tint":
+            unit = np.zeros((size, 0))
+            if members:
+                basis = _tint_basis(free, parameters)
+                unit = np.zeros((size, basis.shape[1]))
+                unit[TINT] = basis
             moved += [tuple(members)] * unit.shape[1]
         else:
+            unit = np.zeros((size, len(members)))
+            for column, parameter in enumerate(members):
+                for p in followers(parameter, parameters):
+                    unit[list(p.entries), column] = 1.0
             moved += [(member,) for member in members]
         columns.append(unit)
     return np.concatenate(columns, axis=1), moved
 
 
-def _mean_free(n: int) -> Float[np.ndarray, "n m"]:
-    """Orthonormal basis of the n - 1 directions that keep a sum of n numbers (Helmert)."""
-    basis = np.zeros((n, n - 1))
-    for k in range(1, n):
-        basis[:k, k - 1], basis[k, k - 1] = 1.0, -float(k)
-        basis[:, k - 1] /= np.sqrt(k * (k + 1.0))
+@dataclass(frozen=True)
+class Chart:
+    """Unbounded coordinates for the free parameters: a solver's map of the allowed values."""
+
+    base: Entries
+    """The vector where nothing is free; 0 where something is."""
+    matrix: Float[np.ndarray, "e q"]
+    """Value of a parameter other than tint → its entries."""
+    lower: Float[np.ndarray, " q"]
+    upper: Float[np.ndarray, " q"]
+    scale: Float[np.ndarray, " q"]
+    basis: Float[np.ndarray, "3 m"]
+    """Log-ratio coordinates of the free tints."""
+    tint_total: float
+    start: Float[np.ndarray, " p"]
+    """Coordinates of the start: the q values, then the m tints."""
+
+
+def chart(vector: Entries, free: Sequence[Parameter], parameters: Sequence[Parameter]) -> Chart:
+    """Coordinates around a vector; what lies on or outside a bound starts a little inside."""
+    plain = [p for p in free if p.family != "tint"]
+    matrix = np.zeros((len(vector), len(plain)))
+    for column, parameter in enumerate(plain):
+        for p in followers(parameter, parameters):
+            matrix[list(p.entries), column] = 1.0
+    lower = np.array([p.lower for p in plain])
+    upper = np.array([p.upper for p in plain])
+    values = np.array([float(p.of(vector)) for p in plain])
+    anchor = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper, 0.0))
+    distance = np.abs(values - anchor)
+    typical = np.array([p.scale for p in plain])
+    scale = np.where(distance > 0, distance, typical)
+    basis = _tint_basis(free, parameters)
+    members = _tint_members(free, parameters) & bool(basis.shape[1])  # a single tint cannot move
+    base = np.where(matrix.any(axis=1), 0.0, vector)
+    tints = vector[TINT]
+    tint_total = float(tints[members].sum())
+    base[TINT] = np.where(members, 0.0, base[TINT])
+    # A share of nothing has no logarithm.
+    tints = np.where(members, np.maximum(tints, 1e-6 * (tint_total or 3.0)), tints)
+    start = from_value(inside(values, lower, upper, scale), lower, upper, scale)
+    return Chart(
+        base=base,
+        matrix=matrix,
+        lower=lower,
+        upper=upper,
+        scale=scale,
+        basis=basis,
+        tint_total=tint_total or float(members.sum()),
+        start=np.concatenate([start, from_tints(tints, basis)]),
+    )
+
+
+def is_outside(vector: Entries, free: Sequence[Parameter]) -> bool:
+    """Some free parameter has left its range."""
+    return any(not p.lower <= p.of(vector) <= p.upper for p in free)
+
+
+def _unchanged(look: Look, responses: Sequence[Response]) -> list[Parameter]:
+    """All parameters, fixed, with the meaning that the look and the response give them."""
+    found: list[Parameter] = []
+
+    def add(name: str, family: str, entries: tuple[int, ...], value: Any) -> None:
+        about = FAMILIES[family]
+        found.append(
+            Parameter(
+                name=name,
+                family=family,
+                entries=entries,
+                value=float(value),
+                unit=about.unit,
+                lower=about.lower,
+                upper=about.upper,
+                scale=about.scale,
+                meaning=about.meaning,
+                role="fixed",
+            )
+        )
+
+    for family, start in (("brightness", 0), ("shadow", 1), ("tint", 4), ("background", 7)):
+        value = getattr(look, family)
+        if family == "brightness":
+            add(family, family, (start,), value)
+        elif np.shape(value) == ():
+            add(family, family, (start, start + 1, start + 2), value)
+        else:
+            for k, channel in enumerate(CHANNELS):
+                add(f"{family}.{channel}", family, (start + k,), value[k])
+    for number, response in enumerate(responses):
+        ending = f".{number + 1}" if len(responses) > 1 else ""
+        for k, family in enumerate(RESPONSE_PARAMETERS):
+            entry = LOOK_ENTRIES + RESPONSE_ENTRIES * number + k
+            add(family + ending, family, (entry,), getattr(response, family))
+    return found
+
+
+def _expand(
+    what: str, names: Iterable[str] | str, parameters: Mapping[str, Parameter]
+) -> list[str]:
+    """Full names: a family stands for all its members."""
+    found: list[str] = []
+    for name in (names,) if isinstance(names, str) else tuple(names):
+        members = [p.name for p in parameters.values() if name in (p.name, p.family)]
+        if not members:
+            raise InputError(
+                f"{what}: {name!r} is no parameter; choose from {_choices(parameters)}"
+            )
+        found += members
+    return found
+
+
+def _choices(parameters: Mapping[str, Parameter]) -> list[str]:
+    return list(dict.fromkeys([*(p.family for p in parameters.values()), *parameters]))
+
+
+def _bounded(p: Parameter, lower: float, upper: float) -> Parameter:
+    low, high = max(float(lower), p.lower), min(float(upper), p.upper)
+    if not lower < upper or not low < high:  # NaN compares false
+        raise InputError(
+            f"bounds: {p.name} from {lower:g} to {upper:g} leaves no room in its range "
+            f"{p.lower:g} to {p.upper:g}; give a lower bound below the upper one, inside the range"
+        )
+    return replace(p, lower=low, upper=high)
+
+
+def _prior(name: str, mean: float, sigma: float) -> Prior:
+    if not np.isfinite(mean):
+        raise InputError(f"prior: {name} has the mean {mean!r}; give a finite number")
+    if not (np.isfinite(sigma) and sigma > 0):
+        raise InputError(
+            f"prior: {name} has the width {sigma!r}; give a standard deviation above 0, "
+            "or hold the parameter at its start value"
+        )
+    return Prior(float(mean), float(sigma))
+
+
+def _tie(parameters: dict[str, Parameter], tied: Mapping[str, str]) -> None:
+    """Tied parameters get the record of the one they follow to the end of the chain."""
+    for name, other in tied.items():
+        for known in (name, other):
+            if known not in parameters:
+                raise InputError(f"tied: {known!r} is no parameter; choose from {list(parameters)}")
+        if parameters[name].family != parameters[other].family:
+            raise InputError(
+                f"tied: {name} and {other} are different quantities; tie members of one family"
+            )
+    for name in tied:
+        chain = [name]
+        while chain[-1] in tied:
+            chain.append(tied[chain[-1]])
+            if chain[-1] in chain[:-1]:
+                raise InputError(f"tied: {' → '.join(chain)} is a circle; leave one of them untied")
+        master = parameters[chain[-1]]
+        if parameters[name].prior is not None:
+            raise InputError(f"tied: {name} has a prior of its own; give it to {master.name}")
+        parameters[name] = replace(
+            parameters[name], role="tied", tied_to=master.name, value=master.value
+        )
+
+
+def _tint_members(free: Sequence[Parameter], parameters: Sequence[Parameter]) -> np.ndarray:
+    """Which of the three tints move."""
+    members = np.zeros(3, dtype=bool)
+    for parameter in free:
+        if parameter.family == "tint":
+            for p in followers(parameter, parameters):
+                members[p.entries[0] - TINT.start] = True
+    return members
+
+
+def _tint_basis(
+    free: Sequence[Parameter], parameters: Sequence[Parameter]
+) -> Float[np.ndarray, "3 m"]:
+    """Orthonormal directions that keep the tints' sum, and tied ones equal."""
+    members = _tint_members(free, parameters)
+    basis = mean_free(members.tolist())
+    for master in free:
+        for p in followers(master, parameters)[1:] if master.family == "tint" else ():
+            if not basis.shape[1]:
+                break
+            difference = basis[p.entries[0] - TINT.start] - basis[master.entries[0] - TINT.start]
+            _, _, rows = np.linalg.svd(difference[None])
+            basis = basis @ rows[1:].T
     return basis

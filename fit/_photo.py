@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt, UInt8
 from PIL import ExifTags, Image, ImageFile, UnidentifiedImageError
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
@@ -30,27 +30,60 @@ _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _EXR = b"\x76\x2f\x31\x01"
 
 
+REASONS = ("masked", "not finite")
+"""Why a photo leaves a pixel out, in the order in which the reasons apply."""
+
+
 @dataclass(frozen=True)
 class Photo:
     """A photo in linear light.
 
     `linear` is float32 in [0, 1] for integer photos and as stored otherwise: float32's relative
-    rounding of 2^-24 is 1/256 of half a step of a 16-bit code. A saturated sample whose linear
-    light would be infinite holds the light half a code below it. `quantisation` is half a code
-    step in linear light for every sample, None for float photos; it covers rounding to codes only,
-    not JPEG's losses. `bits` is the depth of the stored code, 32 for float.
-
-    `excluded` counts the pixels outside `valid` by reason, each once, under the first that
-    applies: "masked", "not finite", "saturated".
+    rounding of 2^-24 is 1/256 of half a step of a 16-bit code. A sample at the highest code whose
+    linear light would be infinite holds the light half a code below it. `bits` is the depth of the
+    stored code, 32 for float.
     """
 
     path: Path
     linear: Float[np.ndarray, "h w 3"]
-    valid: Bool[np.ndarray, "h w"]
-    excluded: dict[str, int]
-    quantisation: Float[np.ndarray, "h w 3"] | None
+    reason: UInt8[np.ndarray, "h w"]
+    """0: the pixel counts; else 1 + the index in `REASONS` of the first that applies."""
     tone_curve: ToneCurve
     bits: int
+    codes: UInt[np.ndarray, "h w 3"] | None
+    """As stored; None for float photos."""
+    half_steps: Float[np.ndarray, " codes"] | None
+    """Half a code step in linear light for each code; covers rounding to codes only, not JPEG's
+    losses. None for float photos."""
+
+    @property
+    def valid(self) -> Bool[np.ndarray, "h w"]:
+        """The pixels that count."""
+        return self.reason == 0
+
+    @property
+    def excluded(self) -> dict[str, int]:
+        """Pixels left out, by reason."""
+        return {name: int((self.reason == k + 1).sum()) for k, name in enumerate(REASONS)}
+
+    @property
+    def top(self) -> int:
+        """The highest code."""
+        return int(2**self.bits - 1)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Light that the lowest code tells at most and the highest at least: half a code inside."""
+        codes = np.array([0.5, self.top - 0.5]) / self.top
+        black, white = np.asarray(self.tone_curve.decode(codes), dtype=np.float64)
+        return float(black), float(white)
+
+    @property
+    def quantisation(self) -> Float[np.ndarray, "h w 3"] | None:
+        """Half a code step for every sample."""
+        if self.codes is None or self.half_steps is None:
+            return None
+        return self.half_steps[self.codes]
 
 
 def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None = None) -> Photo:
@@ -61,9 +94,8 @@ def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None 
     picture of the photo's size: white keeps a pixel, black leaves it out (any channel ≠ 0 keeps).
 
     Grey becomes three equal channels, alpha is dropped (also a mask's), palettes are looked up,
-    EXIF orientation is applied to photo and mask. A pixel is saturated when any channel of an
-    integer photo is at its highest code. Photos that are black, white or NaN all over are no
-    errors here: what can be learned from them is the fit's verdict.
+    EXIF orientation is applied to photo and mask. Photos that are black, white or NaN all over are
+    no errors here: what can be learned from them is the fit's verdict.
 
     Raises `InputError` for files that are missing, damaged, cut off, of another format, of more
     than `MAX_PIXELS` pixels, for CMYK, for an EXR without R, G, B, and for a mask of another size.
@@ -75,27 +107,25 @@ def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None 
     else:
         curve = parse_tone_curve(tone_curve)
     stored = _three_channels(file, stored)
+    codes: np.ndarray | None = None
+    half_step: np.ndarray | None = None
     if bits is None:
-        linear, quantisation = _decode_float(stored, curve), None
-        saturated = np.zeros(stored.shape[:2], dtype=bool)
+        linear = _decode_float(stored, curve)
     else:
         light, half_step = _code_tables(curve, bits)
-        linear, quantisation = light[stored], half_step[stored]
-        saturated = (stored == 2**bits - 1).any(axis=-1)
-    kept = np.ones(stored.shape[:2], dtype=bool) if mask is None else _read_mask(mask, file, stored)
-    finite = np.isfinite(linear).all(axis=-1)
+        linear, codes = light[stored], stored
+    reason = np.zeros(linear.shape[:2], dtype=np.uint8)
+    reason[~np.isfinite(linear).all(axis=-1)] = 1 + REASONS.index("not finite")
+    if mask is not None:
+        reason[~_read_mask(mask, file, stored)] = 1 + REASONS.index("masked")
     return Photo(
         path=file,
         linear=linear,
-        valid=kept & finite & ~saturated,
-        excluded={
-            "masked": int((~kept).sum()),
-            "not finite": int((kept & ~finite).sum()),
-            "saturated": int((kept & finite & saturated).sum()),
-        },
-        quantisation=quantisation,
+        reason=reason,
         tone_curve=curve,
         bits=32 if bits is None else bits,
+        codes=codes,
+        half_steps=half_step,
     )
 
 

@@ -1,27 +1,28 @@
-"""Which pixels can tell something, and why the others cannot.
+"""Which pixels can tell something, why the others cannot, and the samples that are left.
 
 A pixel counts when air lies in front of space, or in front of the planet where the layers say what
-the planet looks like. What is left is handed on as tiles of float64 numbers of bounded size.
+the planet looks like. What is left goes, photo by photo, into the tiles of `_stream.Samples`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int, Int8
 
 from model_jax import InputError, Layers, layer_widths
 
-from ._photo import Photo
+from ._photo import REASONS, Photo
+from ._stream import TILE, Samples, capacity
 
-TILE = 16384
-"""Pixels of a tile: six float64 columns of it are 0.8 MB, the size of a core's cache."""
+PhotoLike = Photo | np.ndarray | jax.Array
 
 
 @dataclass(frozen=True)
 class Pixels:
-    """The choice of pixels. `used.sum() + sum(excluded.values()) == used.size`."""
+    """The choice of pixels of a photo. `used.sum() + sum(excluded.values()) == used.size`."""
 
     used: Bool[np.ndarray, "h w"]
     """True where a pixel takes part in the fit."""
@@ -36,19 +37,24 @@ class Pixels:
 
 
 @dataclass(frozen=True)
-class Tile:
-    """Some of the used pixels, float64. Widths in `width_unit`s, light linear."""
+class Columns:
+    """The used pixels of one photo, float64. Widths in `width_unit`s of the first photo."""
 
+    index: Int[np.ndarray, " n"]
+    """Flat index of each in its photo; row by row, but those with a clipped sample last."""
     lit: Float[np.ndarray, " n"]
-    dark: Float[np.ndarray, " n"]
-    """Zero where the layers have no shadow."""
+    dark: Float[np.ndarray, " n"] | None
     light: Float[np.ndarray, "n 3"]
-    """Photo minus surface."""
-    half_step: Float[np.ndarray, "n 3"] | None
-    """Half a code step of the photo; None for float photos."""
+    """What the photo recorded; for a clipped sample the bound that it tells."""
+    surface: Float[np.ndarray, "n 3"] | None
+    clipped: Int8[np.ndarray, "n 3"] | None
+    """1: at least this bright, -1: at most, 0: measured; None: all are measured."""
+    color: Float[np.ndarray, "3"]
+    width_error: float
+    """Bound on the rounding of a width, from the layers' dtype and depths."""
 
 
-def as_picture(photo: Photo | np.ndarray | jax.Array) -> np.ndarray:
+def as_picture(photo: PhotoLike) -> np.ndarray:
     """Linear light [h, w, 3] of a photo or an array of floats, as it is stored.
 
     Raises:
@@ -65,12 +71,12 @@ def as_picture(photo: Photo | np.ndarray | jax.Array) -> np.ndarray:
     return picture
 
 
-def choose_pixels(photo: Photo | np.ndarray | jax.Array, layers: Layers) -> Pixels:
+def choose_pixels(photo: PhotoLike, layers: Layers) -> Pixels:
     """The pixels that a fit uses.
 
     Excluded, in this order: "no air"; "planet without a surface layer"; what the photo itself
-    excludes ("masked", "not finite", "saturated"); "layers not finite". Layers that do not know
-    where the planet is, and bring no surface, use all pixels with air, with a remark.
+    excludes ("masked", "not finite"); "layers not finite". Layers that do not know where the planet
+    is, and bring no surface, use all pixels with air, with a remark.
 
     Raises:
         InputError: photo and layers differ in size; a photo of a wrong shape or type.
@@ -83,19 +89,18 @@ def choose_pixels(photo: Photo | np.ndarray | jax.Array, layers: Layers) -> Pixe
             "render the layers in the photo's size"
         )
     remarks: list[tuple[str, str]] = []
-    on_planet = np.zeros(size, dtype=bool)
+    reasons = {"no air": ~np.asarray(layers.has_air)}
     if layers.surface is None:
         if layers.planet is None:
             why = "the layers do not tell planet from space, so all pixels with air are used"
             remarks.append(("choice of sky pixels", why))
         else:
-            on_planet = np.asarray(layers.planet) != 0
-    reasons = {
-        "no air": ~np.asarray(layers.has_air),
-        "planet without a surface layer": on_planet,
-        **_photo_reasons(photo, picture),
-        "layers not finite": ~_finite(layers),
-    }
+            reasons["planet without a surface layer"] = np.asarray(layers.planet) != 0
+    if isinstance(photo, Photo):
+        reasons |= {name: photo.reason == k + 1 for k, name in enumerate(REASONS)}
+    else:
+        reasons["not finite"] = ~np.isfinite(picture).all(axis=-1)
+    reasons["layers not finite"] = ~_finite(layers)
     used = np.ones(size, dtype=bool)
     excluded: dict[str, int] = {}
     for reason, where in reasons.items():
@@ -105,80 +110,143 @@ def choose_pixels(photo: Photo | np.ndarray | jax.Array, layers: Layers) -> Pixe
     return Pixels(used, excluded, tuple(remarks))
 
 
-def tiles(
-    photo: Photo | np.ndarray | jax.Array, layers: Layers, used: Bool[np.ndarray, "h w"]
-) -> Iterator[Tile]:
-    """The used pixels, row by row, at most `TILE` at a time.
+def take_columns(photo: PhotoLike, layers: Layers, pixels: Pixels, width_unit: float) -> Columns:
+    """The used pixels in numbers.
 
     The widths are `layer_widths` of the layers' depths taken to float64: from float32 layers they
-    are the exact widths of the stored depths.
+    are the exact widths of the stored depths. A sample at a photo's highest code is known to be at
+    least the light half a code below it, one at code 0 at most the light half a code above.
     """
     picture = as_picture(photo).reshape(-1, 3)
-    half_steps = photo.quantisation if isinstance(photo, Photo) else None
-    surface = None if layers.surface is None else np.asarray(layers.surface).reshape(-1, 3)
-    unit = float(layers.width_unit)
-    depths = [
-        None if depth is None else np.asarray(depth).reshape(-1)
-        for depth in (layers.front, layers.back, layers.shadow_front, layers.shadow_back)
-    ]
-    chosen = np.flatnonzero(used)
-    for start in range(0, chosen.size, TILE):
-        index = chosen[start : start + TILE]
-        lit, dark = _widths([None if d is None else d[index] for d in depths], unit)
-        light = picture[index].astype(np.float64)
-        if surface is not None:
-            light -= surface[index]
-        steps = None
-        if half_steps is not None:
-            steps = half_steps.reshape(-1, 3)[index].astype(np.float64)
-        yield Tile(lit, dark, light, steps)
+    index = np.flatnonzero(pixels.used)
+    clipped = None
+    if isinstance(photo, Photo) and photo.codes is not None:
+        clipped = _clipped(photo, index)
+    if clipped is not None:
+        last = np.argsort(clipped.any(axis=1), kind="stable")
+        index, clipped = index[last], clipped[last]
+    light = picture[index].astype(np.float64)
+    if clipped is not None and isinstance(photo, Photo):
+        black, white = photo.limits
+        light = np.where(clipped > 0, white, np.where(clipped < 0, black, light))
+    lit, dark = _widths(layers, index, width_unit)
+    surface = None
+    if layers.surface is not None:
+        surface = np.asarray(layers.surface).reshape(-1, 3)[index].astype(np.float64)
+    return Columns(
+        index=index,
+        lit=lit,
+        dark=dark,
+        light=light,
+        surface=surface,
+        clipped=clipped,
+        color=np.asarray(layers.color, np.float64)[:3],
+        width_error=_width_error(layers, pixels, width_unit),
+    )
 
 
+def to_samples(
+    columns: Sequence[Columns],
+    tile: int = TILE,
+    weights: Sequence[Float[np.ndarray, " _"]] | None = None,
+) -> Samples:
+    """Tiles of all photos' columns; a part that any photo has, all have."""
+    tiles = [-(-len(c.lit) // tile) for c in columns]
+    room = capacity(sum(tiles))
+    starts = np.cumsum([0, *tiles])
+
+    def fill(parts: list[np.ndarray | None], channels: bool, dtype: Any = np.float64) -> Any:
+        if all(part is None for part in parts):
+            return None
+        whole = _aligned_zeros((room, 3, tile) if channels else (room, tile), dtype)
+        for part, start in zip(parts, starts, strict=False):
+            if part is None or not len(part):
+                continue
+            full, rest = divmod(len(part), tile)
+            body = part[: full * tile].reshape((full, tile, *part.shape[1:]))
+            whole[start : start + full] = body.swapaxes(1, 2) if channels else body
+            if rest:
+                whole[start + full, ..., :rest] = part[full * tile :].T
+        return whole
+
+    count = np.zeros(room, np.int32)
+    photo = np.zeros(room, np.int32)
+    for number, (c, n, start) in enumerate(zip(columns, tiles, starts, strict=False)):
+        count[start : start + n] = np.minimum(tile, len(c.lit) - tile * np.arange(n))
+        photo[start : start + n] = number
+    return Samples(
+        lit=fill([c.lit for c in columns], False),
+        dark=fill([c.dark for c in columns], False),
+        light=fill([c.light for c in columns], True),
+        surface=fill([c.surface for c in columns], True),
+        clipped=fill([c.clipped for c in columns], True, np.int8),
+        one=None,
+        weight=None if weights is None else fill(list(weights), False),
+        count=count,
+        photo=photo,
+        used=np.asarray(sum(tiles), np.int32),
+        color=np.stack([c.color for c in columns]),
+    )
+
+
+def _aligned_zeros(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+    """Zeros that a CPU's JAX takes over as they are, at 64 bytes, so that room in which nothing is
+    ever written takes no memory."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    raw = np.zeros(size + 64, np.uint8)
+    start = -raw.ctypes.data % 64
+    return raw[start : start + size].view(dtype).reshape(shape)
+
+
+def _clipped(photo: Photo, index: np.ndarray) -> Int8[np.ndarray, "n 3"] | None:
+    """Which samples are at the lowest or the highest code; None when none is."""
+    assert photo.codes is not None
+    codes = photo.codes.reshape(-1, 3)[index]
+    clipped = (codes == photo.top).astype(np.int8)
+    clipped -= codes == 0
+    return clipped if clipped.any() else None
+
+
+_CHUNK = 65536
 _jit_widths = jax.jit(layer_widths)
 
 
-def _widths(depths: list[np.ndarray | None], unit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Widths in float64 whatever JAX's setting, padded to one size so that JAX compiles once."""
-    first = depths[0]
-    assert first is not None
-    n = first.size
-
-    def padded(depth: np.ndarray | None) -> np.ndarray | None:
-        if depth is None:
-            return None
-        row = np.zeros((1, TILE))
-        row[0, :n] = depth
-        return row
-
+def _widths(
+    layers: Layers, index: np.ndarray, unit: float
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"] | None]:
+    """Widths in float64 whatever JAX's setting, in pieces of one size so that JAX compiles once."""
+    depths = [
+        None if depth is None else np.asarray(depth).reshape(-1)[index]
+        for depth in (layers.front, layers.back, layers.shadow_front, layers.shadow_back)
+    ]
+    lit = np.empty(index.size)
+    dark = np.empty(index.size) if layers.has_shadow else None
+    row = np.zeros((4, 1, _CHUNK))
     with jax.enable_x64(True):
-        front, back, shadow_front, shadow_back = (padded(depth) for depth in depths)
-        assert front is not None
-        assert back is not None
-        lit, dark = _jit_widths(Layers(front, back, shadow_front, shadow_back, width_unit=unit))
-        lit = np.asarray(lit)[0, :n]
-        return lit, np.zeros_like(lit) if dark is None else np.asarray(dark)[0, :n]
+        for start in range(0, index.size, _CHUNK):
+            end = min(start + _CHUNK, index.size)
+            for k, depth in enumerate(depths):
+                if depth is not None:
+                    row[k, 0, : end - start] = depth[start:end]
+            front, back, shadow_front, shadow_back = row
+            if dark is None:
+                piece = Layers(front, back, width_unit=unit)
+            else:
+                piece = Layers(front, back, shadow_front, shadow_back, width_unit=unit)
+            lit_piece, dark_piece = _jit_widths(piece)
+            lit[start:end] = np.asarray(lit_piece)[0, : end - start]
+            if dark is not None:
+                dark[start:end] = np.asarray(dark_piece)[0, : end - start]
+    return lit, dark
 
 
-def _photo_reasons(
-    photo: Photo | np.ndarray | jax.Array, picture: np.ndarray
-) -> dict[str, Bool[np.ndarray, "h w"]]:
-    """Why the photo itself leaves pixels out.
-
-    A `Photo` keeps one mask for all reasons. Which one it was is told from the light: what is
-    neither broken nor at the highest code was masked.
-    """
-    broken = ~np.isfinite(picture).all(axis=-1)
-    if not isinstance(photo, Photo):
-        return {"not finite": broken}
-    out = ~photo.valid
-    brightest = np.zeros_like(out)
-    if photo.excluded.get("saturated"):
-        brightest = (picture >= np.max(picture[np.isfinite(picture)])).any(axis=-1)
-    return {
-        "masked": out & ~broken & ~brightest,
-        "not finite": broken,
-        "saturated": out,
-    }
+def _width_error(layers: Layers, pixels: Pixels, unit: float) -> float:
+    """Four depths enter a width, each off by half an ulp of the largest at most."""
+    if not pixels.count:
+        return 0.0
+    front, back = np.asarray(layers.front), np.asarray(layers.back)
+    depth = max(float(np.abs(front[pixels.used]).max()), float(np.abs(back[pixels.used]).max()))
+    return 2.0 * float(np.finfo(front.dtype).eps) * depth / unit
 
 
 def _finite(layers: Layers) -> Bool[np.ndarray, "h w"]:

@@ -1,132 +1,148 @@
-"""A million pixels in a six by six triangle, without loss.
+"""Few pseudo-pixels that stand for all: what a fit can do before it touches every pixel again.
 
-The picture is linear in the columns `A = [1 lit dark]`, channel by channel, so all that plain least
-squares asks of the pixels is in the triangle R of the QR decomposition of the tall matrix
-`[A y_r y_g y_b]`: `|A x - y_k|² = |R_A x - R_k|² + |rest_k|²`. R is updated tile by tile (TSQR:
-Demmel, Grigori, Hoemmen, Langou, "Communication-optimal parallel and sequential QR and LU
-factorizations", SIAM J. Sci. Comput. 34, 2012), in float64 NumPy, memory bounded by one tile.
-Nothing is binned.
+All return `Samples` that any solver descends on as on the real ones; the exact pass
+(`_stream`) then ends the fit, so that neither has to be exact.
+
+`moments`: where the model is linear in its columns `[1 lit dark surface]`, plain least squares asks
+of the pixels no more than the sums of products of columns and light. A factor of that matrix, read
+as rows, is at most nine pseudo-pixels with the same square sum for every look.
+
+`bins`: where the model is a function of the pair (lit, dark), pixels that agree in it tell their
+mean. A grid over the pair loses what varies within a bin, which is second order in its width.
+
+`thinned`: every k-th pixel, for robust losses and fitted surfaces, which know no such pairs.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from model_jax import Layers
+from ._pixels import Columns, to_samples
+from ._stream import Samples, tile_at
 
-from ._photo import Photo
-from ._pixels import Pixels, tiles
+BINS = 256
+"""Bins along each of lit and dark: parameters within 1e-5 of the exact ones on real pictures."""
 
+THIN = 2**15
+"""Pixels of a thinned picture: parameters within a few standard errors of theirs, √(all / THIN)."""
 
-@dataclass(frozen=True)
-class Reduced:
-    """All that the used pixels tell a fit by least squares; scaled to order one.
-
-    The columns are divided by powers of two, which rounds nothing.
-    """
-
-    count: int
-    """Used pixels, n."""
-    design: Float[np.ndarray, "3 3"]
-    """R_A: columns 1, lit / width, dark / width."""
-    target: Float[np.ndarray, "3 3"]
-    """R_k: photo minus surface, divided by `light`; column k is the channel."""
-    rest: float
-    """Scaled square sum that no choice of the columns explains, all channels."""
-    light: float
-    """Light unit: a power of two at least as large as any |light|; 0 when all are 0."""
-    width: float
-    """Width unit, in `width_unit`s, a power of two; 1 when there is no pixel."""
-    width_error: float
-    """Bound on the rounding of a scaled width, from the layers' dtype and depths."""
-    constant: bool
-    """The photo is the same everywhere, the air's width is not."""
-    has_lit: bool
-    has_dark: bool
-    """Some used pixel has more lit (shadowed) air than rounding explains."""
-
-    @property
-    def square_sum(self) -> float:
-        """Σ light² over used pixels and channels, scaled."""
-        return float((self.target**2).sum()) + self.rest
-
-    @property
-    def variation(self) -> float:
-        """Σ (light - its channel's mean)², scaled."""
-        return float((self.target[1:] ** 2).sum()) + self.rest
+_ROWS = 16
+"""Pixels of a tile of pseudo-pixels: nine moments, padded."""
 
 
-def reduce_pixels(photo: Photo | np.ndarray | jax.Array, layers: Layers, pixels: Pixels) -> Reduced:
-    """One pass over the used pixels."""
-    triangle = np.zeros((0, 6))
-    low, high = np.full(6, np.inf), np.full(6, -np.inf)
-    light = width = 0.0
-    for tile in tiles(photo, layers, pixels.used):
-        columns = np.column_stack([np.ones_like(tile.lit), tile.lit, tile.dark, tile.light])
-        low, high = np.minimum(low, columns.min(axis=0)), np.maximum(high, columns.max(axis=0))
-        new_light = max(light, _power_of_two(np.abs(tile.light).max()))
-        new_width = max(width, _power_of_two(np.abs(columns[:, 1:3]).max()))
-        # The scale grows with what has been seen; what was kept so far follows it.
-        scale = np.array([1.0, *2 * [new_width or 1.0], *3 * [new_light or 1.0]])
-        before = np.array([1.0, *2 * [width or 1.0], *3 * [light or 1.0]])
-        kept = triangle * (before / scale)
-        triangle = np.asarray(np.linalg.qr(np.concatenate([kept, columns / scale]), mode="r"))
-        light, width = new_light, new_width
-    full = np.zeros((6, 6))
-    full[: len(triangle)] = triangle
-    error = _width_error(layers, pixels)
-    spread = high - low
-    return Reduced(
-        count=pixels.count,
-        design=full[:3, :3],
-        target=full[:3, 3:],
-        rest=float((full[3:, 3:] ** 2).sum()),
-        light=light,
-        width=width or 1.0,
-        width_error=error / (width or 1.0),
-        constant=pixels.count > 0
-        and not spread[3:].any()
-        and bool((spread[1:3] > 2 * error).any()),
-        has_lit=pixels.count > 0 and bool(high[1] > error),
-        has_dark=pixels.count > 0 and bool(high[2] > error),
+def moments(samples: Samples) -> Samples:
+    """Pseudo-pixels of each photo; clipped samples are taken as measured."""
+    photos = len(np.asarray(samples.color))
+    names = ["one", "lit", *(["dark"] if samples.dark is not None else [])]
+    surface = samples.surface is not None
+    size = len(names) + 3 * surface + 3
+    sums = np.asarray(_products(samples, photos, size))
+    rows = np.stack([_factor(matrix) for matrix in sums])  # [photo, row, column]
+    padded = np.zeros((photos, _ROWS, size))
+    padded[:, :size] = rows
+    column = {name: padded[..., k] for k, name in enumerate(names)}
+    behind = padded[..., len(names) : len(names) + 3].swapaxes(1, 2) if surface else None
+    return Samples(
+        lit=column["lit"],
+        dark=column.get("dark"),
+        light=padded[..., -3:].swapaxes(1, 2),
+        surface=behind,
+        clipped=None,
+        one=column["one"],
+        weight=None,
+        count=np.full(photos, size, np.int32),
+        photo=np.arange(photos, dtype=np.int32),
+        used=np.asarray(photos, np.int32),
+        color=samples.color,
     )
 
 
-def worst_bias(
-    photo: Photo,
-    layers: Layers,
-    pixels: Pixels,
-    reduced: Reduced,
-    response: Float[np.ndarray, "3 3 p"],
-) -> Float[np.ndarray, " p"]:
-    """How far the photo's rounding can move the parameters at most, to first order.
+def bins(columns: Sequence[Columns]) -> Samples:
+    """Means over bins of (lit, dark), photo by photo, weighted by their pixels.
 
-    `response[m, k]` is the change of the parameters per scaled light of channel k and unit of
-    column m, so that pixel i moves them by `Σ_m A_im response_mk` per light: the pseudo-inverse.
-    Every sample is off by half a code step at most, and the worst case has all of them conspire:
-    `Σ_ik |J⁺_ik| q_ik`. No statistics enter, so it is a bound where rounding is no noise.
+    Clipped samples of one kind share their bound, so pixels in which the same channels are clipped
+    have bins of their own. The columns have no surface.
     """
-    bound = np.zeros(response.shape[-1])
-    for tile in tiles(photo, layers, pixels.used):
-        assert tile.half_step is not None
-        columns = np.column_stack([np.ones_like(tile.lit), tile.lit, tile.dark])
-        columns[:, 1:] /= reduced.width
-        for k in range(3):
-            bound += tile.half_step[:, k] / reduced.light @ np.abs(columns @ response[:, k])
-    return bound
+    binned, weights = zip(*(_bin(c) for c in columns), strict=True)
+    return to_samples(binned, weights=weights)
 
 
-def _power_of_two(value: float) -> float:
-    """The smallest power of two above a value; 0 for 0."""
-    return float(np.ldexp(1.0, int(np.frexp(value)[1]))) if value > 0 else 0.0
+def thinned(columns: Sequence[Columns]) -> Samples:
+    """Every k-th pixel of each photo, counting k times; `THIN` pixels or a little more in all."""
+    step = max(sum(len(c.lit) for c in columns) // THIN, 1)
+
+    def part(values: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None else values[::step]
+
+    few = [
+        replace(
+            c,
+            index=c.index[::step],
+            lit=c.lit[::step],
+            dark=part(c.dark),
+            light=c.light[::step],
+            surface=part(c.surface),
+            clipped=part(c.clipped),
+        )
+        for c in columns
+    ]
+    return to_samples(few, weights=[np.full(len(c.lit), float(step)) for c in few])
 
 
-def _width_error(layers: Layers, pixels: Pixels) -> float:
-    """Four depths enter a width, each off by half an ulp of the largest at most; width_units."""
-    if not pixels.count:
-        return 0.0
-    front, back = np.asarray(layers.front), np.asarray(layers.back)
-    depth = max(float(np.abs(front[pixels.used]).max()), float(np.abs(back[pixels.used]).max()))
-    return 2.0 * float(np.finfo(front.dtype).eps) * depth / float(layers.width_unit)
+def _bin(columns: Columns) -> tuple[Columns, Float[np.ndarray, " bins"]]:
+    number = _bin_numbers(columns.lit)
+    if columns.dark is not None:
+        number = number * BINS + _bin_numbers(columns.dark)
+    if columns.clipped is not None:
+        number = number * 27 + (columns.clipped.astype(np.intp) + 1) @ np.array([9, 3, 1])
+        _, first, number = np.unique(number, return_index=True, return_inverse=True)
+    counts = np.bincount(number)
+    filled = np.flatnonzero(counts)
+    weight = counts[filled].astype(np.float64)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.bincount(number, values)[filled] / weight
+
+    light = np.stack([mean(columns.light[:, k]) for k in range(3)], axis=-1)
+    dark = None if columns.dark is None else mean(columns.dark)
+    clipped = None if columns.clipped is None else columns.clipped[first]
+    lit = mean(columns.lit)
+    means = replace(columns, index=filled, lit=lit, dark=dark, light=light, clipped=clipped)
+    return means, weight
+
+
+def _bin_numbers(widths: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    low, high = float(widths.min()), float(widths.max())
+    if high <= low:
+        return np.zeros(len(widths), dtype=np.intp)
+    return np.minimum((widths - low) * (BINS / (high - low)), BINS - 1).astype(np.intp)
+
+
+@partial(jax.jit, static_argnames=("photos", "size"))
+def _products(samples: Samples, photos: int, size: int) -> Float[jax.Array, "photos c c"]:
+    def add(index: jax.Array, total: jax.Array) -> jax.Array:
+        tile = tile_at(samples, index)
+        columns = [jnp.ones_like(tile.lit), tile.lit]
+        if tile.dark is not None:
+            columns.append(tile.dark)
+        parts = [jnp.stack(columns)]
+        if tile.surface is not None:
+            parts.append(tile.surface)
+        rows = jnp.concatenate([*parts, tile.light]) * jnp.sqrt(tile.weight)[None]
+        return total.at[tile.photo].add(rows @ rows.T)
+
+    zero = jnp.zeros((photos, size, size), samples.lit.dtype)
+    return jax.lax.fori_loop(0, samples.used, add, zero)
+
+
+def _factor(matrix: Float[np.ndarray, "c c"]) -> Float[np.ndarray, "c c"]:
+    """Rows R with RᵀR = matrix, by eigenvalues of the matrix with a unit diagonal."""
+    size = np.sqrt(np.diag(matrix))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(matrix / size / size[:, None])
+    return np.asarray(np.sqrt(np.maximum(values, 0))[:, None] * vectors.T * size)

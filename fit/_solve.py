@@ -1,13 +1,12 @@
-"""The descent: from the reduced pixels to the best look, with optimistix.
+"""The descent: from samples to the best vector, with optimistix.
 
 What the solver sees is of order one whatever the photo's exposure and the scene's lengths: it moves
-from a start that the data suggest, along directions each scaled so that one unit of it changes the
-picture by as much as the picture is. It runs in float64 by a scoped switch that leaves the caller's
-JAX configuration alone. Its own word on success is not taken: `_fit` judges the end point in NumPy,
-with the derivatives written by hand here.
+from a start along directions in which one unit changes the picture by as much as the picture is,
+each independent of the others at the start (whitened), in coordinates that know no bounds
+(`Chart`). It runs in float64 by a scoped switch that leaves the caller's JAX configuration alone.
+Its own word on success is not taken: `_search` checks the end point.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,19 +18,11 @@ import optimistix as optx
 from jaxtyping import Float
 
 from model_jax import InputError
-from model_jax._shapes import AnyArray, namespace
+from model_jax._shapes import AnyArray
 
-from ._parameters import (
-    BACKGROUND,
-    BRIGHTNESS,
-    SHADOW,
-    TINT,
-    FreeParameter,
-    LookVector,
-    directions,
-    settle_tint,
-)
-from ._reduce import Reduced
+from ._bijections import to_tints, to_value
+from ._parameters import TINT, Chart, Entries
+from ._stream import Model, Samples, compressed, gram
 
 Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 
@@ -44,56 +35,66 @@ _SOLVERS = {
     "nelder_mead": optx.NelderMead,
 }
 
-_TOLERANCE = 1e-12
-"""Solver tolerance, absolute and relative, on numbers of order one: float64 has 2e-16, and 1e-8 in
-the parameters is promised."""
+TOLERANCE = 1e-12
+"""Of a descent, absolute and relative, on numbers of order one: float64 has 2e-16, and 1e-8 in the
+parameters is promised."""
 
-_DIRECTIONS = 9
-"""Most degrees of freedom: brightness, 2 of tint, 3 shadow weights, 3 levels. Unused ones are held
-at zero by a residual of their own, so that JAX compiles one program for every choice."""
-
-CHECK = 1e-6
-"""How far, as a share of the variance of one sample, the square sum at the end may lie above what a
-Gauss–Newton step promises: the parameters are then within 1e-3 standard errors of the optimum."""
-
-
-@dataclass(frozen=True)
-class Problem:
-    """Reduced pixels and the air's colour. Vectors are scaled: see `units`."""
-
-    reduced: Reduced
-    color: Float[np.ndarray, "3"]
-
-    @property
-    def units(self) -> LookVector:
-        """Look vector = scaled vector × units."""
-        light, width = self.reduced.light, self.reduced.width
-        return np.array([light / width, *6 * [1.0], *3 * [light]])
-
-    def square_sum(self, vector: LookVector) -> float:
-        """Σ residual² over used pixels and channels, in units of light²."""
-        return float((self.residual(vector) ** 2).sum()) + self.reduced.rest
-
-    def residual(self, vector: LookVector) -> Float[np.ndarray, "3 3"]:
-        """Reduced residual; row m, channel k."""
-        return self.reduced.design @ coefficients(vector, self.color) - self.reduced.target
-
-    def rounding(self) -> float:
-        """Square sum that float64 cannot tell from zero: a QR of 6 columns is backward stable to a
-        few times 6 eps of a column's norm (Higham, *Accuracy and Stability*, 19.4)."""
-        return (64 * np.finfo(np.float64).eps) ** 2 * self.reduced.square_sum
+FINISH = 1e-15
+"""Of the exact Gauss–Newton steps at the end: on, until they do nothing."""
 
 
 @dataclass(frozen=True)
 class Descent:
-    """Where a descent ended. `vector` is scaled."""
+    """Where a descent ended."""
 
-    vector: LookVector
+    entries: Entries
     finite: bool
     steps: int
+    history: tuple[float, ...]
+    """Square sum at each accepted step, start first."""
 
 
-def make_solver(name: str) -> Solver:
+class Atlas(eqx.Module):
+    """`Chart` and the whitened steps on it: what takes a solver's numbers to entries."""
+
+    base: Float[AnyArray, " e"]
+    matrix: Float[AnyArray, "e q"]
+    lower: Float[AnyArray, " q"]
+    upper: Float[AnyArray, " q"]
+    scale: Float[AnyArray, " q"]
+    basis: Float[AnyArray, "3 m"]
+    tint_total: Float[AnyArray, ""]
+    start: Float[AnyArray, " p"]
+    whiten: Float[AnyArray, "p p"]
+
+    def entries(self, step: Float[AnyArray, " p"]) -> Float[jax.Array, " e"]:
+        """The vector after a step."""
+        u = self.start + self.whiten @ step
+        plain = self.matrix.shape[1]
+        values = to_value(u[:plain], self.lower, self.upper, self.scale)
+        vector = jnp.asarray(self.base) + self.matrix @ values
+        if not self.basis.shape[1]:
+            return vector
+        tints = to_tints(u[plain:], jnp.asarray(self.basis), self.tint_total)
+        return vector.at[TINT].add(tints)
+
+
+class Pass(eqx.Module):
+    """One exact pass as a function of the solver's numbers; square sums in units of `size`²."""
+
+    atlas: Atlas
+    samples: Samples
+    model: Model
+    size: Float[AnyArray, ""]
+
+    def __call__(self, step: Float[jax.Array, " p"]) -> Float[jax.Array, "q q"]:
+        along = jax.jacfwd(self.atlas.entries)(step)
+        found = gram(self.atlas.entries(step), along, self.samples, self.model) / self.size**2
+        # Where light overflows no step is better; the factor of a NaN would pass for a cost of 0.
+        return jnp.where(jnp.isfinite(found).all(), found, jnp.inf)
+
+
+def make_solver(name: str, tolerance: float = TOLERANCE) -> Solver:
     """An optimistix solver by its name.
 
     Raises:
@@ -101,161 +102,150 @@ def make_solver(name: str) -> Solver:
     """
     if name not in _SOLVERS:
         raise InputError(f"solver: {name!r} is not known; choose from {list(_SOLVERS)}")
-    solver: Solver = _SOLVERS[name](rtol=_TOLERANCE, atol=_TOLERANCE)
+    solver: Solver = _SOLVERS[name](rtol=tolerance, atol=tolerance)
     return solver
 
 
-def coefficients(vector: AnyArray, color: AnyArray) -> AnyArray:
-    """What the columns 1, lit, dark are multiplied with, [3 columns, 3 channels].
-
-    Twin of `model_jax.combine` plus background: level, B·c·t, B·c·t·s.
-    """
-    xp = namespace(vector)
-    lit = vector[BRIGHTNESS] * (color * vector[TINT])
-    return xp.stack([vector[BACKGROUND], lit, lit * vector[SHADOW]])
-
-
-def coefficient_slopes(
-    vector: LookVector, color: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "3 3 10"]:
-    """Derivative of `coefficients` by the ten entries, by hand."""
-    slopes = np.zeros((3, 3, 10))
-    brightness, shadow, tint = vector[BRIGHTNESS], vector[SHADOW], vector[TINT]
-    for k in range(3):
-        slopes[0, k, 7 + k] = 1.0
-        for row, share in ((1, 1.0), (2, shadow[k])):
-            slopes[row, k, 0] = color[k] * tint[k] * share
-            slopes[row, k, 4 + k] = brightness * color[k] * share
-        slopes[2, k, 1 + k] = brightness * color[k] * tint[k]
-    return slopes
-
-
-def jacobian(
-    problem: Problem, vector: LookVector, along: Float[np.ndarray, "10 p"]
-) -> Float[np.ndarray, "9 p"]:
-    """Change of the reduced residual along directions of the scaled vector."""
-    slopes = coefficient_slopes(vector, problem.color) @ along
-    return np.einsum("im,mkp->ikp", problem.reduced.design, slopes).reshape(9, along.shape[1])
-
-
 def descend(
-    problem: Problem,
-    start: LookVector,
-    free: Sequence[FreeParameter],
-    solver: Solver,
-    max_steps: int,
+    chart: Chart, samples: Samples, model: Model, solver: Solver, max_steps: int
 ) -> Descent:
-    """The best vector that moves only what is free.
-
-    Starts where the square sum is lowest: at `start`, or at the exact optimum for one of the shadow
-    weights of a scan (`scan`), which is what keeps it from a wrong valley.
-    """
-    start = settle_tint(start, free)
-    best = min([start, *scan(problem, start, free)], key=problem.square_sum)
-    along, _ = directions(free)
-    p = along.shape[1]
-    if p == 0:
-        return Descent(best, True, 0)
-    norms = np.linalg.norm(jacobian(problem, best, along), axis=0)
-    size = np.sqrt(problem.reduced.square_sum)
-    steps_to_vector = np.zeros((10, _DIRECTIONS))
-    steps_to_vector[:, :p] = along * np.divide(size, norms, out=np.ones(p), where=norms > 0)
-    idle = np.zeros(_DIRECTIONS)
-    idle[p:] = 1.0
-    arguments = (
-        best,
-        steps_to_vector,
-        idle,
-        problem.color,
-        problem.reduced.design / size,
-        problem.reduced.target / size,
-    )
+    """The best vector that a solver finds from the chart's start; never worse than the start."""
     with jax.enable_x64(True):
-        end, steps = _run(solver, jax.tree.map(jnp.asarray, arguments), max_steps)
-        vector = best + steps_to_vector @ np.asarray(end)
-    finite = bool(np.isfinite(vector).all())
-    if finite and problem.square_sum(vector) > problem.square_sum(best):
-        vector = best  # never worse than the start; the check decides whether it is good enough
-    return Descent(vector, finite, int(steps))
+        pass_, first = _whitened(chart, samples, model)
+        found = jax.device_get(_run(solver, pass_, max_steps))
+        size = float(pass_.size) ** 2
+    start, end, history, count = found
+    costs = [first, *(float(c) * size for c in history if np.isfinite(c))]
+    finite = bool(np.isfinite(end).all() and np.isfinite(costs[-1]))
+    better = finite and not costs[-1] > first  # NaN compares false
+    return Descent(np.asarray(end if better else start), finite, int(count), tuple(costs))
+
+
+@eqx.filter_jit
+def exact_gram(
+    entries: Float[AnyArray, " e"], along: Float[AnyArray, "e p"], samples: Samples, model: Model
+) -> Float[jax.Array, "q q"]:
+    """`gram`, compiled."""
+    return gram(entries, along, samples, model)
+
+
+@eqx.filter_jit
+def square_sums(
+    vectors: Float[AnyArray, "k e"], samples: Samples, model: Model
+) -> Float[jax.Array, " k"]:
+    """Costs of several vectors in one pass."""
+    nothing = jnp.zeros((vectors.shape[1], 0))
+    return jax.vmap(lambda vector: gram(vector, nothing, samples, model)[-1, -1])(vectors)
+
+
+def _whitened(chart: Chart, samples: Samples, model: Model) -> tuple[Pass, float]:
+    """The pass in whitened steps, and the square sum at its start."""
+    p = len(chart.start)
+    atlas = Atlas(
+        base=jnp.asarray(chart.base),
+        matrix=jnp.asarray(chart.matrix),
+        lower=jnp.asarray(chart.lower),
+        upper=jnp.asarray(chart.upper),
+        scale=jnp.asarray(chart.scale),
+        basis=jnp.asarray(chart.basis),
+        tint_total=jnp.asarray(chart.tint_total),
+        start=jnp.asarray(chart.start),
+        whiten=jnp.asarray(np.eye(p)),
+    )
+    start_gram, light = jax.device_get(_first(atlas, samples, model))
+    size = float(np.sqrt(light)) or 1.0
+    whiten = jnp.asarray(_whitening(start_gram[:-1, :-1]) * size)
+    atlas = eqx.tree_at(lambda a: a.whiten, atlas, whiten)
+    return Pass(atlas, samples, model, jnp.asarray(size)), float(start_gram[-1, -1])
+
+
+@eqx.filter_jit
+def _first(atlas: Atlas, samples: Samples, model: Model) -> tuple[jax.Array, jax.Array]:
+    """G at the start, in the chart's own steps, and the square sum of the light."""
+    step = jnp.zeros_like(atlas.start)
+    along = jax.jacfwd(atlas.entries)(step)
+    inside = jnp.arange(samples.lit.shape[1])[None, :] < jnp.asarray(samples.count)[:, None]
+    weight = inside if samples.weight is None else inside * jnp.asarray(samples.weight)
+    light = (jnp.asarray(samples.light) ** 2 * weight[:, None, :]).sum()
+    return gram(atlas.entries(step), along, samples, model), light
+
+
+def _whitening(curved: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
+    """W with Wᵀ G W = 1, where G tells; steps along what it does not tell stay of order one."""
+    size = np.sqrt(np.diag(curved))
+    usable = np.where((size > 0) & np.isfinite(size), size, 1.0)
+    scaled = np.nan_to_num(curved / usable / usable[:, None], posinf=0.0, neginf=0.0)
+    values, vectors = np.linalg.eigh(scaled)
+    floor = 1e-12 * max(float(values.max(initial=0.0)), 1e-300)
+    return np.asarray(vectors / np.sqrt(np.maximum(values, floor)) / usable[:, None])
 
 
 @eqx.filter_jit
 def _run(
-    solver: Solver, arguments: tuple[jax.Array, ...], max_steps: int
-) -> tuple[jax.Array, jax.Array]:
-    def residual(step: jax.Array, arguments: Any) -> Any:
-        start, steps_to_vector, idle, color, design, target = arguments
-        terms = coefficients(start + steps_to_vector @ step, color)
-        return design @ terms - target, idle * step
+    solver: Solver, pass_: Pass, max_steps: int
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Entries at the start and at the end, square sums of the steps, their number."""
+    step, history, count = run(solver, pass_, max_steps)
+    entries = pass_.atlas.entries
+    return entries(jnp.zeros_like(step)), entries(step), history, count
 
-    start = jnp.zeros(_DIRECTIONS, arguments[0].dtype)
+
+def run(
+    solver: Solver, pass_: Pass, max_steps: int
+) -> tuple[Float[jax.Array, " p"], Float[jax.Array, " steps"], jax.Array]:
+    """The solver on a pass: the step it ends with, square sums after each step, their number."""
+
+    def residual(step: jax.Array, pass_: Any) -> Any:
+        value = compressed(step, pass_)
+        return value, (value * value).sum()
+
+    recorded = _recorded(solver, max_steps)
+    start = jnp.zeros_like(pass_.atlas.start)
     solution: optx.Solution = optx.least_squares(
-        residual, solver, start, arguments, max_steps=max_steps, throw=False
+        residual, recorded, start, pass_, max_steps=max_steps, throw=False, has_aux=True
     )
-    return solution.value, solution.stats["num_steps"]
+    return solution.value, solution.stats["history"], solution.stats["num_steps"]
 
 
-def scan(problem: Problem, start: LookVector, free: Sequence[FreeParameter]) -> list[LookVector]:
-    """Exact optima for a fan of shadow weights (for the start's own where shadow is not free).
-
-    Given the weight the picture is linear in what remains, brightness × tint counting as one number
-    per channel. With tint free and one weight for all channels, what is left is a Rayleigh
-    quotient of two by two matrices in the direction (lit, dark), which has one valley: 33
-    directions over the quarter circle of weights ≥ 0 cannot miss it.
-    """
-    families = {p.family for p in free}
-    weights = [start[SHADOW]]
-    if "shadow" in families:
-        lit, dark = (np.linalg.norm(problem.reduced.design[:, column]) for column in (1, 2))
-        ratio = lit / dark if lit > 0 and dark > 0 else 1.0
-        weights += [np.full(3, ratio * w) for w in np.tan(np.linspace(0, np.pi / 2, 34)[:-1])]
-    others = [p for p in free if p.family != "shadow"]
-    return [_optimum_for(problem, start, others, weight, free) for weight in weights]
+def _recorded(solver: Solver, max_steps: int) -> Solver:
+    is_minimiser = isinstance(solver, optx.AbstractMinimiser)
+    kind: Any = _RecordedMinimiser if is_minimiser else _RecordedLeastSquares
+    made: Solver = kind(solver.rtol, solver.atol, solver.norm, solver, max_steps)
+    return made
 
 
-def _optimum_for(
-    problem: Problem,
-    start: LookVector,
-    others: Sequence[FreeParameter],
-    weight: np.ndarray,
-    free: Sequence[FreeParameter],
-) -> LookVector:
-    """The best vector with the free shadow weights at `weight`; linear least squares."""
-    vector = start.copy()
-    for p in free:
-        if p.family == "shadow":
-            vector[list(p.entries)] = weight[p.entries[0] - 1]
-    tints = [p.entries[0] for p in others if p.family == "tint"]
-    if any(p.family == "brightness" for p in others) and len(tints) > 1:
-        return _free_amplitudes(problem, vector, others, tints)
-    return _linear_step(problem, vector, directions(others)[0])
+class _Recording(eqx.Module):
+    """An optimistix solver that also returns the square sum at each of its steps, in `stats`."""
+
+    rtol: float
+    atol: float
+    norm: Any
+    inner: Any
+    max_steps: int = eqx.field(static=True)
+
+    def init(self, *arguments: Any) -> Any:
+        return self.inner.init(*arguments), jnp.full(self.max_steps, jnp.nan), jnp.array(0)
+
+    def step(
+        self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any
+    ) -> tuple[Any, Any, Any]:
+        inner, history, count = state
+        y, inner, aux = self.inner.step(fn, y, args, options, inner, tags)
+        return y, (inner, history.at[count].set(aux), count + 1), aux
+
+    def terminate(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> Any:
+        return self.inner.terminate(fn, y, args, options, state[0], tags)
+
+    def postprocess(
+        self, fn: Any, y: Any, aux: Any, args: Any, options: Any, state: Any, tags: Any, result: Any
+    ) -> tuple[Any, Any, dict[str, Any]]:
+        y, aux, stats = self.inner.postprocess(fn, y, aux, args, options, state[0], tags, result)
+        return y, aux, stats | {"history": state[1]}
 
 
-def _free_amplitudes(
-    problem: Problem, vector: LookVector, others: Sequence[FreeParameter], tints: list[int]
-) -> LookVector:
-    """As `_linear_step`, where brightness and tint are both free: their product is linear."""
-    flat = vector.copy()
-    flat[BRIGHTNESS] = 1.0  # the tints then stand for the products
-    columns = [np.eye(10)[tint] for tint in tints]
-    columns += list(directions([p for p in others if p.family == "background"])[0].T)
-    flat = _linear_step(problem, flat, np.array(columns).T)
-    rest = 3.0 - sum(vector[t] for t in range(TINT.start, TINT.stop) if t not in tints)
-    brightness = flat[tints].sum() / rest
-    if brightness == 0 or not np.isfinite(brightness):
-        return vector
-    flat[tints] /= brightness
-    # Held tints belong to channels without colour, or are zero: they need no product.
-    flat[BRIGHTNESS] = brightness
-    return flat
+class _RecordedLeastSquares(_Recording, optx.AbstractLeastSquaresSolver):
+    pass
 
 
-def _linear_step(
-    problem: Problem, vector: LookVector, along: Float[np.ndarray, "10 p"]
-) -> LookVector:
-    if along.shape[1] == 0:
-        return vector
-    slope, residual = jacobian(problem, vector, along), problem.residual(vector).reshape(-1)
-    step = np.linalg.lstsq(slope, -residual, rcond=None)[0]
-    moved: LookVector = vector + along @ step
-    return moved
+class _RecordedMinimiser(_Recording, optx.AbstractMinimiser):
+    pass

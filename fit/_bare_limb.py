@@ -1,0 +1,509 @@
+"""Is there air at all? A planet without air, blurred by the camera, as the rival of the shell.
+
+    light, planet, used ──> bare limb ─────────┐
+                     widths ──> bare + shell ──┴──> ΔBIC at the effective sample size
+
+A camera spreads the disc's light over its edge, and a scene is aligned to a photo to a pixel or
+so: both put light where air would be. The bare limb is the photo's own disc, continued outward and
+ended by a blurred edge. Blur neither makes light nor colours it, so the disc's light comes in with
+the factor 1 and in its own colour; only the edge's place and width are free. The shell is tested on
+top of it: a planet with air is seen by the same camera, so its limb leaks into the ring too.
+
+Pure NumPy; knows nothing of looks and solvers.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+EVIDENCE = 10.0
+"""Least ΔBIC that tells air: "very strong", odds of 150 to 1 (Kass & Raftery 1995, J. Am. Stat.
+Assoc. 90, 773, §3.2 and 4.1.3)."""
+
+MAX_SHIFT_PX = 3.0
+"""How far the edge may lie from the mask's: two pixels of the scene, one of its own relief."""
+BLUR_PX = (0.25, 4.0)
+"""Standard deviations of the camera's blur: below a quarter of a pixel the pixel itself is wider;
+above 4 px the disc would show no detail."""
+
+HALO_PX = 8.0
+MAX_HALO = 0.1
+"""Halo of lens and film: a share of the light, spread much farther than the blur. More than a tenth
+next to the disc would be a fault of the camera."""
+
+_SWEEPS = 25
+"""Of a search, a limit on time: along a valley of the square sum the end is then near the least."""
+_SMOOTH = 5.0
+"""Gaussian, px, by which the distance from the limb and the disc's light next to it are found."""
+_REACH = 20
+"""Its support, four standard deviations."""
+_NEAR = 16.0
+"""Beyond this distance, px, nothing of the disc arrives: 3.25 of the widest blur beyond the most
+shifted edge."""
+_INSIDE = 4
+"""The outermost pixels of the disc do not count as disc: they hold the blurred edge."""
+_TILE = 64
+_SEARCHED = (10_000, 50_000)
+"""Pixels by the limb that the coarse and the fine search look at, evenly chosen; the square sum of
+the end point is that of all."""
+
+
+@dataclass(frozen=True)
+class LimbModel:
+    """A bare limb, or a bare limb and a shell, at its best."""
+
+    square_sum: float
+    """Residual squares over all used samples, linear light²."""
+    parameters: int
+    blur_px: float
+    """Standard deviation of the camera's blur, within `BLUR_PX`."""
+    shift_px: tuple[float, float, float]
+    """How far the photo's edge lies from the mask's: outward, to the right, downward."""
+    halo: float
+    """Share of the disc's light that is spread by `HALO_PX`, within [0, `MAX_HALO`]."""
+    level: tuple[float, float, float]
+    """Light of the sky."""
+    widths: Float[np.ndarray, "columns 3"]
+    """Light per width of each given column; no rows for the bare limb."""
+
+
+@dataclass(frozen=True)
+class AirEvidence:
+    """The comparison of the two."""
+
+    bare: LimbModel
+    shell: LimbModel
+    samples_effective: float
+    delta_bic: float
+    """BIC(bare) − BIC(shell); above `EVIDENCE` there is air."""
+
+    @property
+    def has_air(self) -> bool:
+        return self.delta_bic > EVIDENCE
+
+
+def find_air(
+    light: Float[np.ndarray, "h w 3"],
+    planet: Bool[np.ndarray, "h w"],
+    used: Bool[np.ndarray, "h w"],
+    widths: Sequence[Float[np.ndarray, "h w"]],
+) -> AirEvidence:
+    """Does a shell of air explain what a bare limb, blurred by the camera, does not?
+
+    Args:
+        light: linear light; not finite where it is unknown, but finite in the used pixels.
+        planet: where the planet ends the ray; may be empty.
+        used: pixels to explain; those on the planet are left out.
+        widths: of air, lit and shadowed (either may be missing), any unit, finite where used.
+    """
+    used = used & ~planet
+    widths = [width for width in widths if np.any(width[used])]
+    if not used.any():
+        nothing = LimbModel(
+            0.0, 8, BLUR_PX[0], (0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0), np.zeros((0, 3))
+        )
+        return AirEvidence(nothing, nothing, 1.0, 0.0)
+    limb = _limb(light, planet, used)
+    bare = _best(light, used, (), limb)
+    shell = _best(light, used, widths, limb, bare)
+    samples = effective_samples(_residual(light, used, widths, limb, shell), used, True)
+    floor = float(np.finfo(np.float32).eps) ** 2 * _energy(light, used)
+    return AirEvidence(bare, shell, samples, air_evidence(bare, shell, samples, floor))
+
+
+def bare_limb(
+    light: Float[np.ndarray, "h w 3"],
+    planet: Bool[np.ndarray, "h w"],
+    used: Bool[np.ndarray, "h w"],
+) -> LimbModel:
+    """The best explanation of the used pixels by a planet without air; arguments as `find_air`."""
+    used = used & ~planet
+    return _best(light, used, (), _limb(light, planet, used))
+
+
+def air_evidence(bare: LimbModel, shell: LimbModel, samples: float, floor: float = 0.0) -> float:
+    """BIC(bare) − BIC(shell), BIC = samples · log(square sum) + parameters · log(samples).
+
+    Schwarz 1978, Ann. Stat. 6, 461, for errors of equal unknown variance. Square sums below `floor`
+    count as `floor`: the rounding of the photo tells nothing.
+    """
+    tiny = np.finfo(np.float64).tiny
+    ratio = max(bare.square_sum, floor, tiny) / max(shell.square_sum, floor, tiny)
+    more = shell.parameters - bare.parameters
+    return float(samples * np.log(ratio) - more * np.log(samples))
+
+
+def effective_samples(
+    residual: Float[np.ndarray, "h w 3"], used: Bool[np.ndarray, "h w"], squares: bool = False
+) -> float:
+    """Number of independent samples that would tell as much as the used ones.
+
+    Of means (and so of what is linear in the residual) that is the used pixels over the area of the
+    residual's autocorrelation ρ, its sum over all lags (Priestley 1981, §5.3.2; Thiébaux & Zwiers
+    1984, J. Clim. Appl. Meteorol. 23, 800, eq. 2.1). A square sum knows more: with `squares` the
+    area is the sum of ρ² (Bretherton et al. 1999, J. Clim. 12, 1990). White noise blurred by a
+    Gaussian of σ px has the areas 4πσ² and 2πσ². Either is multiplied by the channels that vary
+    independently, `(tr C)² / tr C²` (the same paper).
+
+    The sum ends where ρ, averaged over rings of lags, first falls below twice the standard error of
+    a correlation; lags up to 64 px, within tiles of 128 px, and of more than 64 tiles, 64 evenly
+    chosen ones. Structure that is longer counts as more samples than it is.
+
+    Returns:
+        From 1 to three times the used pixels.
+    """
+    count = int(used.sum())
+    covariance = np.zeros((3, 3))
+    for rows in _strips(used):
+        values = residual[rows][used[rows]].astype(np.float64)
+        covariance += values.T @ values
+    total = float(np.trace(covariance))
+    if not total > 0:
+        return float(max(3 * count, 1))
+    covariance /= total
+    channels = 1 / float((covariance**2).sum())
+    area = _correlation_area(residual, used, squares)
+    return float(np.clip(count / area * channels, 1.0, 3.0 * count))
+
+
+_LAGS = 64
+_WINDOW = 128
+_WINDOWS = 64
+
+
+def _correlation_area(
+    residual: Float[np.ndarray, "h w 3"], used: Bool[np.ndarray, "h w"], squares: bool
+) -> float:
+    """Sum of the autocorrelation, or of its square, over the lags about 0, px²; at least 1.
+
+    Each lag counts by its share of pixels that have a partner: a ring 3 px wide has no more than 3
+    px of correlation across it.
+    """
+    corners = [
+        (y, x)
+        for y in range(0, used.shape[0], _WINDOW)
+        for x in range(0, used.shape[1], _WINDOW)
+        if used[y : y + _WINDOW, x : x + _WINDOW].any()
+    ]
+    chosen = np.unique(np.linspace(0, len(corners) - 1, min(len(corners), _WINDOWS)).astype(int))
+    size = (_WINDOW + _LAGS, _WINDOW + _LAGS)
+    power = np.zeros((size[0], size[1] // 2 + 1))
+    pairs_power = np.zeros_like(power)
+    count = 0
+    for y, x in (corners[k] for k in chosen):
+        here = used[y : y + _WINDOW, x : x + _WINDOW]
+        values = np.where(here[..., None], residual[y : y + _WINDOW, x : x + _WINDOW], 0)
+        power += (np.abs(np.fft.rfft2(values, size, axes=(0, 1))) ** 2).sum(axis=2)
+        pairs_power += np.abs(np.fft.rfft2(here.astype(np.float32), size)) ** 2
+        count += int(here.sum())
+    products, pairs = np.fft.irfft2(power, size), np.fft.irfft2(pairs_power, size)
+    if not products[0, 0] > 0:
+        return 1.0
+    share = np.maximum(pairs / count, 0.5 / count)
+    correlation = products / products[0, 0] / share
+    lag = np.minimum(np.arange(size[0]), size[0] - np.arange(size[0]))
+    ring = np.rint(np.hypot(*np.meshgrid(lag, lag))).astype(int)
+    ring[ring > _LAGS] = _LAGS
+
+    def over_rings(values: np.ndarray) -> np.ndarray:
+        return np.bincount(ring.ravel(), values.ravel())[:_LAGS]
+
+    average = over_rings(correlation * share) / over_rings(share)
+    ended = np.flatnonzero(average < 2 / np.sqrt(count))
+    within = ring < (ended[0] if ended.size else _LAGS)
+    return max(1.0, float(((correlation ** (2 if squares else 1)) * share)[within].sum()))
+
+
+@dataclass(frozen=True)
+class _Limb:
+    """The used pixels that the disc's light can reach."""
+
+    index: Int[np.ndarray, " n"]
+    """Flat index in the photo."""
+    distance: Float[np.ndarray, " n"]
+    """From the mask's edge, px, positive outside."""
+    normal: Float[np.ndarray, "n 2"]
+    """Away from the planet: right, down."""
+    disc: Float[np.ndarray, "n 3"]
+    """The disc's light, continued outward."""
+
+
+def _limb(
+    light: Float[np.ndarray, "h w 3"],
+    planet: Bool[np.ndarray, "h w"],
+    used: Bool[np.ndarray, "h w"],
+) -> _Limb:
+    """Distance, normal and the disc's light, from Gaussian blurs of the mask and the disc.
+
+    A straight edge blurred by a Gaussian is the normal distribution of the distance from it, which
+    gives the distance to a fraction of a pixel; a limb of radius R px moves it by about
+    `_SMOOTH² / 2R`, less than the edge's free place. Only tiles by the limb are blurred.
+    """
+    inside = _eroded(planet)
+    smooth, slope = _gaussian(_TILE)
+    found: list[tuple[np.ndarray, ...]] = []
+    for y, x in _limb_tiles(planet, used):
+        rows, cols = (
+            np.arange(y - _REACH, y + _TILE + _REACH),
+            np.arange(x - _REACH, x + _TILE + _REACH),
+        )
+        height, width = planet.shape
+        # Beyond the frame the mask goes on as at its edge, and no light is known.
+        part = np.ix_(rows.clip(0, height - 1), cols.clip(0, width - 1))
+        framed = np.outer((rows >= 0) & (rows < height), (cols >= 0) & (cols < width))
+        mask = planet[part].astype(np.float64)
+        covered = smooth @ mask @ smooth.T
+        distance = -_SMOOTH * np.interp(covered, _CUMULATIVE, _DEVIATE)
+        down, right = slope @ mask @ smooth.T, smooth @ mask @ slope.T
+        values = light[part]
+        known = inside[part] & framed & np.isfinite(values).all(axis=-1)
+        weight = smooth @ known.astype(np.float64) @ smooth.T
+        here = np.zeros((_TILE, _TILE), dtype=bool)
+        frame = used[y : y + _TILE, x : x + _TILE]
+        here[: frame.shape[0], : frame.shape[1]] = frame
+        here &= (distance < _NEAR) & (weight > 1e-7)
+        if not here.any():
+            continue
+        values = np.where(known[..., None], values, 0).astype(np.float64)
+        disc = [(smooth @ values[..., k] @ smooth.T)[here] / weight[here] for k in range(3)]
+        normal = -np.stack([right[here], down[here]], axis=-1)
+        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
+        row, col = np.nonzero(here)
+        index = (row + y) * width + col + x
+        found.append((index, distance[here], normal, np.stack(disc, axis=-1)))
+    if not found:
+        return _Limb(np.zeros(0, int), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 3)))
+    return _Limb(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+_DEVIATE = np.linspace(-6.0, 6.0, 2401)
+_CUMULATIVE = np.array([NormalDist().cdf(t) for t in _DEVIATE])
+
+
+def _gaussian(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Matrices [size, size + 2 reach] that blur, and blur and differentiate, along one axis."""
+    lag = np.arange(size + 2 * _REACH)[None, :] - np.arange(size)[:, None] - _REACH
+    kernel = np.where(np.abs(lag) <= _REACH, np.exp(-0.5 * (lag / _SMOOTH) ** 2), 0.0)
+    kernel /= kernel.sum(axis=1, keepdims=True)
+    return kernel, kernel * lag / _SMOOTH**2
+
+
+def _eroded(planet: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Planet with planet all around it at the distance `_INSIDE`; the frame's edge is no limb."""
+    height, width = planet.shape
+    inside = planet.copy()
+    diagonal = round(_INSIDE / np.sqrt(2))
+    for dy, dx in ((0, _INSIDE), (_INSIDE, 0), (diagonal, diagonal), (diagonal, -diagonal)):
+        a = (slice(0, max(height - dy, 0)), slice(max(-dx, 0), max(min(width, width - dx), 0)))
+        b = (slice(dy, height), slice(max(dx, 0), max(min(width, width + dx), 0)))
+        inside[a] &= planet[b]
+        inside[b] &= planet[a]
+    return inside
+
+
+def _limb_tiles(
+    planet: Bool[np.ndarray, "h w"], used: Bool[np.ndarray, "h w"]
+) -> Iterator[tuple[int, int]]:
+    """Upper left corners of the tiles that hold used pixels and have planet within reach."""
+    for y in range(0, used.shape[0], _TILE):
+        for x in range(0, used.shape[1], _TILE):
+            if used[y : y + _TILE, x : x + _TILE].any():
+                top, left = max(y - _REACH, 0), max(x - _REACH, 0)
+                if planet[top : y + _TILE + _REACH, left : x + _TILE + _REACH].any():
+                    yield y, x
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """What least squares need of all used pixels, about their means."""
+
+    count: int
+    mean: Float[np.ndarray, "3"]
+    width_mean: Float[np.ndarray, " c"]
+    square: Float[np.ndarray, "3"]
+    width_light: Float[np.ndarray, "c 3"]
+    gram: Float[np.ndarray, "c c"]
+
+
+def _best(
+    light: Float[np.ndarray, "h w 3"],
+    used: Bool[np.ndarray, "h w"],
+    widths: Sequence[Float[np.ndarray, "h w"]],
+    limb: _Limb,
+    start: LimbModel | None = None,
+) -> LimbModel:
+    """Least squares: a scan of blur and radius, then a pattern search in blur and place.
+
+    Levels and light per width are solved for at each step.
+    """
+    sums = _add_up(light, used, widths)
+    at_limb = light.reshape(-1, 3)[limb.index].astype(np.float64) - sums.mean
+    columns = [np.asarray(width).reshape(-1)[limb.index].astype(np.float64) for width in widths]
+    width_limb = np.stack(columns, axis=-1) if columns else np.zeros((len(limb.index), 0))
+    width_limb = width_limb - sums.width_mean
+
+    def solve(
+        p: np.ndarray, every: int = 1
+    ) -> tuple[float, Float[np.ndarray, "c 3"], Float[np.ndarray, "3"]]:
+        part = slice(None, None, every)
+        disc = _edge(limb, p, part)
+        share = len(limb.index) / max(len(disc), 1)
+        seen = disc.sum(axis=0) * share
+        square = sums.square + share * (disc * (disc - 2 * at_limb[part])).sum(axis=0)
+        square -= seen**2 / sums.count
+        width_light = sums.width_light - share * (width_limb[part].T @ disc)
+        amounts, gain = _air(sums.gram, width_light)
+        level = sums.mean - seen / sums.count - sums.width_mean @ amounts
+        return max(float(square.sum()) - gain, 0.0), amounts, level
+
+    place = np.zeros(5)
+    if len(limb.index) and limb.disc.any():
+        few, most = (-(-len(limb.index) // count) for count in _SEARCHED)
+        starts = [np.array([np.log(s), r, 0, 0, 0]) for s in (0.5, 1, 2, 4) for r in (-1.0, 0, 1.0)]
+        if start is not None:
+            starts.append(np.array([np.log(start.blur_px), *start.shift_px, start.halo]))
+        place = min(starts, key=lambda p: solve(p, few)[0])
+        place = _pattern_search(lambda p: solve(p, few)[0], place, 0.5, 0.05)
+        if start is not None and solve(starts[-1], most)[0] < solve(place, most)[0]:
+            place = starts[-1]
+        place = _pattern_search(lambda p: solve(p, most)[0], place, 0.05, 0.002)
+    square_sum, amounts, level = solve(place)
+    return LimbModel(
+        square_sum=square_sum,
+        # Blur, halo, three of place, three levels; the air's three colours and its shadow weight.
+        parameters=8 + (3 * bool(widths)) + max(len(widths) - 1, 0),
+        blur_px=float(np.exp(place[0])),
+        shift_px=(float(place[1]), float(place[2]), float(place[3])),
+        halo=float(place[4]),
+        level=(float(level[0]), float(level[1]), float(level[2])),
+        widths=amounts,
+    )
+
+
+def _edge(limb: _Limb, p: np.ndarray, part: slice) -> Float[np.ndarray, "n 3"]:
+    """The disc's light beyond a blurred edge; p: log blur, outward, right, down, halo."""
+    place = p[1] + limb.normal[part] @ p[2:4]
+    beyond = (limb.distance[part] - place) * np.exp(-p[0])
+    seen = np.interp(-beyond, _DEVIATE, _CUMULATIVE, left=0, right=1)
+    if p[4] > 0:
+        beyond = (limb.distance[part] - place) / HALO_PX
+        seen += p[4] * (np.interp(-beyond, _DEVIATE, _CUMULATIVE, left=0, right=1) - seen)
+    return limb.disc[part] * seen[:, None]
+
+
+def _pattern_search(
+    cost: Callable[[np.ndarray], float], start: np.ndarray, step: float, last: float
+) -> np.ndarray:
+    """Hooke & Jeeves 1961, J. ACM 8, 212: steps along the axes, and on the way they led; halved
+    as long as they are above `last`, px and relative change of the blur."""
+    best, least, sweeps = start, cost(start), 0
+    scale = np.array([1.0, 1.0, 1.0, 1.0, MAX_HALO])
+    while step > last and (sweeps := sweeps + 1) <= _SWEEPS:
+        base = best
+        for axis in range(len(start)):
+            for sign in (step, -step):
+                trial = _within(best + sign * scale * np.eye(len(start))[axis])
+                if (value := cost(trial)) < least:
+                    best, least = trial, value
+                    break
+        if best is base:
+            step /= 2
+            continue
+        if (value := cost(trial := _within(2 * best - base))) < least:
+            best, least = trial, value
+    return best
+
+
+def _within(p: np.ndarray) -> np.ndarray:
+    """The nearest allowed blur and place."""
+    blur = np.clip(p[:1], *np.log(BLUR_PX))
+    farthest = abs(p[1]) + np.hypot(p[2], p[3])
+    place = p[1:4] * min(1.0, MAX_SHIFT_PX / max(farthest, 1e-30))
+    return np.concatenate([blur, place, np.clip(p[4:], 0, MAX_HALO)])
+
+
+_SHADOWS = np.append(0.0, np.geomspace(1 / 64, 16, 41))
+"""Shadow weights that are tried: the evidence does not ask for them to better than a fifth."""
+
+
+def _air(
+    gram: Float[np.ndarray, "c c"], target: Float[np.ndarray, "c 3"]
+) -> tuple[Float[np.ndarray, "c 3"], float]:
+    """Light per width, and by how much it lowers the square sum.
+
+    As in `model_jax.combine`: a colour times (lit + one weight · shadowed), not negative.
+    """
+    amounts = np.zeros(target.shape)
+    if not len(target):
+        return amounts, 0.0
+    mixes = np.ones((1, 1)) if len(target) == 1 else np.stack([_SHADOWS**0, _SHADOWS], axis=-1)
+    lengths = np.einsum("mi,ij,mj->m", mixes, gram, mixes)
+    colors = np.maximum(mixes @ target, 0) / np.maximum(lengths, 1e-300)[:, None]
+    gains = (colors**2).sum(axis=1) * lengths
+    best = int(np.argmax(gains))
+    return mixes[best][:, None] * colors[best], float(gains[best])
+
+
+def _strips(used: Bool[np.ndarray, "h w"]) -> Iterator[slice]:
+    """Rows in pieces of about a million pixels, so that copies stay small."""
+    rows = max(1, 2**20 // max(used.shape[1], 1))
+    for start in range(0, used.shape[0], rows):
+        yield slice(start, start + rows)
+
+
+def _columns(
+    light: Float[np.ndarray, "h w 3"],
+    used: Bool[np.ndarray, "h w"],
+    widths: Sequence[Float[np.ndarray, "h w"]],
+    rows: slice,
+) -> Float[np.ndarray, "n columns"]:
+    here = used[rows]
+    return np.column_stack(
+        [light[rows][here].astype(np.float64)] + [np.asarray(w)[rows][here] for w in widths]
+    )
+
+
+def _add_up(
+    light: Float[np.ndarray, "h w 3"],
+    used: Bool[np.ndarray, "h w"],
+    widths: Sequence[Float[np.ndarray, "h w"]],
+) -> _Sums:
+    count = int(used.sum())
+    mean = np.zeros(3 + len(widths))
+    for rows in _strips(used):
+        mean += _columns(light, used, widths, rows).sum(axis=0)
+    mean /= max(count, 1)
+    square = np.zeros((len(mean), len(mean)))
+    for rows in _strips(used):
+        part = _columns(light, used, widths, rows) - mean
+        square += part.T @ part
+    return _Sums(
+        count, mean[:3], mean[3:], np.diag(square)[:3].copy(), square[3:, :3], square[3:, 3:]
+    )
+
+
+def _energy(light: Float[np.ndarray, "h w 3"], used: Bool[np.ndarray, "h w"]) -> float:
+    return sum(float((light[r][used[r]].astype(np.float64) ** 2).sum()) for r in _strips(used))
+
+
+def _residual(
+    light: Float[np.ndarray, "h w 3"],
+    used: Bool[np.ndarray, "h w"],
+    widths: Sequence[Float[np.ndarray, "h w"]],
+    limb: _Limb,
+    model: LimbModel,
+) -> Float[np.ndarray, "h w 3"]:
+    """Photo less model, float32; 0 where no pixel is used."""
+    residual = np.zeros(light.shape, np.float32)
+    for rows in _strips(used):
+        here = used[rows]
+        part = light[rows][here] - np.asarray(model.level)
+        for width, amounts in zip(widths, model.widths, strict=True):
+            part -= np.asarray(width)[rows][here][:, None].astype(np.float64) * amounts
+        residual[rows][here] = part
+    p = np.array([np.log(model.blur_px), *model.shift_px, model.halo])
+    residual.reshape(-1, 3)[limb.index] -= _edge(limb, p, slice(None)).astype(np.float32)
+    return residual

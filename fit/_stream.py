@@ -1,0 +1,318 @@
+"""The exact pass over all samples, tile by tile, as a residual that any optimistix solver can use.
+
+`Samples` holds the used pixels of all photos as tiles of a fixed size. `gram` runs over them once
+and returns all that a step of least squares asks of them, a matrix of p + 1 by p + 1 numbers:
+
+    G = Σ [[h J Jᵀ, s J], [s Jᵀ, cost]]        (J: slopes, s: score, h: curvature; see `_loss`)
+
+`compressed` is its Cholesky factor, presented as a function with p + 1 residuals: its square sum is
+the cost, its Jacobian times itself is the gradient and its Jacobian squared the curvature, exactly.
+So Levenberg–Marquardt, dogleg, BFGS and the rest of optimistix run over a photo of any size in the
+memory of one tile, one pass a step, and none of them knows.
+
+The same tiles hold less than all pixels: `bins` averages pixels with alike widths, and `moments`
+makes nine pseudo-pixels that stand for all, without loss where the model is linear.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float, Int
+
+from model_jax import Look, Response, air_light, record
+from model_jax._shapes import AnyArray
+
+from ._loss import Loss, weigh
+from ._parameters import BACKGROUND, BRIGHTNESS, LOOK_ENTRIES, RESPONSE_ENTRIES, SHADOW, TINT
+
+TILE = 2048
+"""Pixels of a tile: its slopes by 8 parameters are 400 kB, which stays in a core's second cache."""
+
+_CAPACITY = 4
+"""Samples are stored with room for a power of this many tiles (64 at least), so that photos of
+other sizes find a compiled program; loops run over the tiles in use only."""
+
+_JITTER = 64
+"""Share of the unit diagonal, in eps, that keeps a Cholesky factor of p + 1 rounded rows real."""
+
+
+class Samples(eqx.Module):
+    """The used pixels of all photos; what no pixel has is None. T tiles of n pixels each."""
+
+    lit: Float[AnyArray, "T n"]
+    """Width of lit air in the first photo's `width_unit`s."""
+    dark: Float[AnyArray, "T n"] | None
+    light: Float[AnyArray, "T 3 n"]
+    """What the photo recorded; for a clipped sample the bound that it tells."""
+    surface: Float[AnyArray, "T 3 n"] | None
+    """Light behind the air."""
+    clipped: Int[AnyArray, "T 3 n"] | None
+    """1: at least this bright, -1: at most, 0: measured."""
+    one: Float[AnyArray, "T n"] | None
+    """Factor on levels, of pseudo-pixels; None is 1."""
+    weight: Float[AnyArray, "T n"] | None
+    """Pixels that a pixel stands for; None is 1."""
+    count: Int[AnyArray, " T"]
+    """Pixels of each tile, the rest is padding."""
+    photo: Int[AnyArray, " T"]
+    """Which photo each tile is of."""
+    used: Int[AnyArray, ""]
+    """Tiles in use."""
+    color: Float[AnyArray, "photos 3"]
+    """Colour of the air, a scene's own."""
+
+
+class Tile(eqx.Module):
+    """One tile of `Samples`."""
+
+    lit: Float[jax.Array, " n"]
+    dark: Float[jax.Array, " n"] | None
+    light: Float[jax.Array, "3 n"]
+    surface: Float[jax.Array, "3 n"] | None
+    clipped: Int[jax.Array, "3 n"] | None
+    one: Float[jax.Array, " n"] | None
+    weight: Float[jax.Array, " n"]
+    """0 for padding."""
+    photo: Int[jax.Array, ""]
+    color: Float[jax.Array, "3"]
+
+
+class Prior(eqx.Module):
+    """Square sum that priors add: Σ weight (entry - mean)²."""
+
+    mean: Float[AnyArray, " e"]
+    weight: Float[AnyArray, " e"]
+
+
+class Model(eqx.Module):
+    """What turns entries and a tile into a prediction, and a residual into a cost."""
+
+    loss: Loss
+    prior: Prior | None
+    linear: bool = eqx.field(static=True)
+    """Every gamma is 1 and stays so: no power is computed."""
+
+
+def tile_at(samples: Samples, index: Int[AnyArray, ""]) -> Tile:
+    """The tile of an index."""
+
+    def part(array: AnyArray | None) -> Any:
+        return None if array is None else array[index]
+
+    inside = jnp.arange(samples.lit.shape[1]) < samples.count[index]
+    weight = part(samples.weight)
+    photo = jnp.asarray(samples.photo)[index]
+    return Tile(
+        lit=part(samples.lit),
+        dark=part(samples.dark),
+        light=part(samples.light),
+        surface=part(samples.surface),
+        clipped=part(samples.clipped),
+        one=part(samples.one),
+        weight=jnp.where(inside, 1.0 if weight is None else weight, 0.0).astype(samples.lit.dtype),
+        photo=photo,
+        color=jnp.asarray(samples.color)[photo],
+    )
+
+
+def predict(entries: Float[AnyArray, " e"], tile: Tile, linear: bool) -> Float[jax.Array, "3 n"]:
+    """Recorded light of a tile's pixels: `model_jax.composite` without alpha, then `record`."""
+    entries = jnp.asarray(entries)
+    look = Look(entries[BRIGHTNESS], entries[SHADOW], entries[TINT], entries[BACKGROUND])
+    dark = None if tile.dark is None else tile.dark[:, None]
+    air = jnp.moveaxis(air_light(tile.lit[:, None], dark, tile.color, look), -1, 0)
+    one = jnp.ones_like(tile.lit) if tile.one is None else tile.one
+    light = air + entries[BACKGROUND][:, None] * one[None, :]
+    if tile.surface is not None:
+        light = light + tile.surface
+    rows = entries[LOOK_ENTRIES:].reshape(-1, RESPONSE_ENTRIES)
+    exposure, gamma, black_level = rows[tile.photo]
+    recorded = record(light, Response(exposure, gamma), linear=linear)
+    return recorded + black_level * one[None, :]
+
+
+def tile_slopes(
+    entries: Float[AnyArray, " e"],
+    along: Float[AnyArray, "e p"],
+    tile: Tile,
+    linear: bool,
+) -> tuple[Float[jax.Array, "3 n"], Float[jax.Array, "p 3 n"]]:
+    """Prediction and its slopes along directions."""
+    predicted, push = jax.linearize(lambda e: predict(e, tile, linear), jnp.asarray(entries))
+    return predicted, jax.vmap(push, in_axes=1)(jnp.asarray(along))
+
+
+def gram(
+    entries: Float[AnyArray, " e"],
+    along: Float[AnyArray, "e p"],
+    samples: Samples,
+    model: Model,
+) -> Float[jax.Array, "q q"]:
+    """The matrix G of one pass, q = p + 1."""
+    along = jnp.asarray(along)
+    if samples.clipped is None and model.loss.name == "linear" and model.linear:
+        total = _linear_gram(entries, along, samples)
+    else:
+        total = _general_gram(entries, along, samples, model)
+    return total if model.prior is None else total + _prior_gram(entries, along, model.prior)
+
+
+def _linear_gram(
+    entries: Float[AnyArray, " e"], along: Float[AnyArray, "e p"], samples: Samples
+) -> Float[jax.Array, "q q"]:
+    """Plain least squares of a model that is linear in its columns, residuals pixel by pixel.
+
+    A prediction is then coefficients times the columns one, lit, dark and the channel's surface,
+    the same for all pixels of a photo. `predict` itself gives them, on the columns' unit vectors,
+    and a pass sums no more than products of columns and residuals.
+    """
+    photos = jnp.arange(samples.color.shape[0])
+    unit = jax.vmap(lambda photo: _unit_tile(samples, photo))(photos)
+    coefficients, slopes = jax.vmap(lambda tile: tile_slopes(entries, along, tile, True))(unit)
+    shared = 2 if samples.dark is None else 3
+    surfaces = 0 if samples.surface is None else 3
+
+    def add(index: Any, total: jax.Array) -> jax.Array:
+        tile = tile_at(samples, index)
+        one = jnp.ones_like(tile.lit) if tile.one is None else tile.one
+        columns = jnp.stack([one, tile.lit] if tile.dark is None else [one, tile.lit, tile.dark])
+        factors = coefficients[tile.photo]
+        residual = factors[:, :shared] @ columns - tile.light
+        rows = [columns]
+        if tile.surface is not None:
+            residual = residual + factors[:, shared:] * tile.surface
+            rows.append(tile.surface)
+        stacked = jnp.concatenate([*rows, residual])
+        return total.at[tile.photo].add((stacked * tile.weight[None]) @ stacked.T)
+
+    size = shared + surfaces + 3
+    zero = jnp.zeros((len(photos), size, size), samples.lit.dtype)
+    total = jax.lax.fori_loop(0, samples.used, add, zero)
+    curved: Any = 0.0
+    gradient: Any = 0.0
+    square_sum: Any = 0.0
+    for k in range(3):
+        of = [*range(shared), *([shared + k] if surfaces else [])]
+        last = shared + surfaces + k
+        products, slope = total[:, of][:, :, of], slopes[:, :, k]
+        curved = curved + jnp.einsum("qim,qmn,qjn->ij", slope, products, slope)
+        gradient = gradient + jnp.einsum("qim,qm->i", slope, total[:, of, last])
+        square_sum = square_sum + total[:, last, last].sum()
+    return _bordered(curved, gradient, square_sum)
+
+
+def _unit_tile(samples: Samples, photo: Int[jax.Array, ""]) -> Tile:
+    """One pseudo-pixel for each column: 1 in it, 0 in the others."""
+    size = 2 + (samples.dark is not None) + (samples.surface is not None)
+    unit = jnp.eye(size, dtype=samples.lit.dtype)
+    surface = None
+    if samples.surface is not None:
+        surface = jnp.broadcast_to(unit[-1][None], (3, size))
+    return Tile(
+        lit=unit[1],
+        dark=None if samples.dark is None else unit[2],
+        light=jnp.zeros((3, size), samples.lit.dtype),
+        surface=surface,
+        clipped=None,
+        one=unit[0],
+        weight=jnp.ones(size, samples.lit.dtype),
+        photo=photo,
+        color=jnp.asarray(samples.color)[photo],
+    )
+
+
+def _bordered(curved: Any, gradient: Any, square_sum: Any) -> Float[jax.Array, "q q"]:
+    right = jnp.append(gradient, square_sum)
+    return jnp.block([[curved, gradient[:, None]], [right[None, :]]])
+
+
+def _general_gram(
+    entries: Float[AnyArray, " e"],
+    along: Float[AnyArray, "e p"],
+    samples: Samples,
+    model: Model,
+) -> Float[jax.Array, "q q"]:
+    """Any model, any loss: the slopes of every sample."""
+    size = along.shape[1] + 1
+
+    def add(index: Any, total: jax.Array) -> jax.Array:
+        tile = tile_at(samples, index)
+        predicted, slopes = tile_slopes(entries, along, tile, model.linear)
+        residual = predicted - tile.light
+        if tile.clipped is None and model.loss.name == "linear":
+            rows = jnp.concatenate([slopes, residual[None]])
+            weighted = rows * tile.weight[None, None]
+            # Weights of 0 and 1 are their own squares, and one array in cache is better than two.
+            left = weighted if samples.weight is None else rows
+            return total + jnp.einsum("icn,jcn->ij", left, weighted)
+        cost, score, curvature = _weigh_tile(residual, tile, model.loss)
+        curved = jnp.einsum("icn,jcn->ij", slopes * (curvature * tile.weight[None])[None], slopes)
+        gradient = jnp.einsum("icn,cn->i", slopes, score * tile.weight[None])
+        return total + _bordered(curved, gradient, (cost * tile.weight[None]).sum())
+
+    zero = jnp.zeros((size, size), samples.lit.dtype)
+    return jax.lax.fori_loop(0, samples.used, add, zero)
+
+
+def _weigh_tile(
+    residual: Float[jax.Array, "3 n"], tile: Tile, loss: Loss
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """`weigh`; a tile without clipped samples is spared the normal distribution."""
+    if tile.clipped is None:
+        return weigh(residual, None, loss)
+    return jax.lax.cond(
+        jnp.any(tile.clipped != 0),
+        lambda: weigh(residual, tile.clipped, loss),
+        lambda: weigh(residual, None, loss),
+    )
+
+
+def _prior_gram(entries: Any, along: Any, prior: Prior) -> Float[jax.Array, "q q"]:
+    rows = jnp.concatenate([along.T, (jnp.asarray(entries) - prior.mean)[None]])
+    return (rows * prior.weight[None]) @ rows.T
+
+
+def cholesky(gram: Float[jax.Array, "q q"]) -> Float[jax.Array, "q q"]:
+    """Upper R with RᵀR = G, of a G that rounding may have made singular.
+
+    The rows are scaled to a unit diagonal first, so that small residuals keep their digits beside
+    large slopes, and a multiple of eps is added to that diagonal.
+    """
+    diagonal = jnp.diagonal(gram)
+    size = jnp.where(diagonal > 0, jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1)), 1)
+    eps = jnp.finfo(gram.dtype).eps
+    scaled = gram / size[None] / size[:, None]
+    unit = jnp.where(jnp.eye(len(size), dtype=bool), 1 + _JITTER * len(size) * eps, scaled)
+    upper = jnp.linalg.cholesky(unit, upper=True) * size[None]
+    return jnp.where(diagonal[None] > 0, upper, 0)
+
+
+@eqx.filter_custom_jvp
+def compressed(
+    step: Float[jax.Array, " p"], make_gram: Callable[[jax.Array], jax.Array]
+) -> Float[jax.Array, " q"]:
+    """p + 1 residuals in place of all: same square sum, same gradient, same curvature.
+
+    Args:
+        step: what the solver moves.
+        make_gram: the pass, a callable pytree: step → G along the steps.
+    """
+    return cholesky(make_gram(step))[:, -1]
+
+
+@compressed.def_jvp
+def _compressed_jvp(primals: Any, tangents: Any) -> Any:
+    step, make_gram = primals
+    factor = cholesky(make_gram(step))
+    return factor[:, -1], factor[:, :-1] @ tangents[0]
+
+
+def capacity(tiles: int) -> int:
+    """Room for a number of tiles."""
+    room = 64
+    while room < tiles:
+        room *= _CAPACITY
+    return room

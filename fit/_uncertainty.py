@@ -1,0 +1,453 @@
+"""How far the values can be trusted: covariance, rounding bias, influence of each pixel.
+
+Real residuals are correlated: a blurred sensor, a JPEG's blocks, a look that does not quite fit. So
+the covariance is the sandwich of M-estimation, `H⁻¹ M H⁻¹`, whose middle is made of the scores
+summed over square blocks of the photo, larger than the residuals' correlation length; within a
+block they may be correlated in any way, and they may be of any size (White, Econometrica 48, 1980;
+Conley, "GMM estimation with cross sectional dependence", J. Econometrics 92, 1999). What blocks cut
+off at their borders is put back by the share that the measured autocorrelation gives it.
+
+A small photo has few blocks, and a parameter may hang on a few of those: the fit has bent toward
+their noise, so that their residuals are too small. Each block's score is therefore stretched by
+`(1 - leverage)^-½`, which makes the sandwich exact on average for independent noise, and intervals
+are as many standard errors wide as Student's t has at the sandwich's own degrees of freedom (Bell
+and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage samples",
+Survey Methodology 28, 2002; CR2 in Cameron and Miller, J. Human Resources 50, 2015).
+
+H is the full second derivative, of the loss and of the model: by the implicit function theorem
+`-H⁻¹ ∂score/∂light` is the influence of each sample on the fitted values.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from model_jax._shapes import AnyArray
+
+from ._loss import weigh
+from ._parameters import Entries
+from ._pixels import Columns
+from ._stream import Model, Samples, predict, tile_at, tile_slopes
+
+LEAST_BLOCK = 8
+"""Pixels across a block at least, and its unit: JPEG's own blocks are 8 or 16 pixels."""
+LENGTHS = 2
+"""Correlation lengths across a block. Correlations that fall off linearly over a length lose
+1 - (1 - 1/6)² = 31 % at its borders, which is put back; larger blocks lose less, but are fewer."""
+FEWEST_BLOCKS = 20
+"""With fewer, blocks are made smaller, down to the correlation length: a standard error from n
+blocks is itself uncertain by 1 / sqrt(2n), 16 % at 20."""
+MOST_LEVERAGE = 0.95
+"""Of a block: where a parameter hangs on one block alone its noise cannot be seen, and the stretch
+stops at 4.5 instead of at infinity."""
+NORMAL_95 = 1.959963984540054
+"""Standard errors to either side of a 95 % interval of a normal distribution."""
+_LAGS = 64
+_GROUP = 32
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Covariance along the free directions and what it rests on."""
+
+    covariance: Float[np.ndarray, "p p"]
+    hessian: Float[np.ndarray, "p p"]
+    """Half the second derivative of the square sum."""
+    correlation_px: float
+    """Length over which residuals are correlated; 1 where neighbours are independent."""
+    block_px: int
+    blocks: int
+    area: float
+    """Pixels that count as one: the integral of the residuals' autocorrelation, ≥ 1."""
+    root: Float[np.ndarray, "p p"]
+    """R with R Rᵀ = H⁻¹."""
+    leverage: Float[np.ndarray, "blocks p p"]
+    """Rᵀ S R of each block, S its part of H: shares in what is known, which add up to 1."""
+
+    def freedom(self, to_told: Float[np.ndarray, "t p"]) -> Float[np.ndarray, " t"]:
+        """Degrees of freedom of each told parameter's variance, ≥ 1.
+
+        The variance is a square sum of the blocks' stretched scores z. Were residuals independent
+        and alike, these had the covariance P = diag(aᵀBa) - (Ba)(Ba)ᵀ with a = (1 - B)^-½ Rᵀ c, B a
+        block's leverage and c the parameter's row; a χ² with the same mean and variance has
+        (tr P)² / tr P² degrees of freedom (Satterthwaite, Biometrics Bulletin 2, 1946).
+        """
+        stretch = _stretch(self.leverage)
+        found = np.ones(len(to_told))
+        for k, row in enumerate(to_told @ self.root):
+            a = stretch @ row
+            pulled = np.einsum("gij,gj->gi", self.leverage, a)
+            own = (a * pulled).sum(axis=1)
+            squares = (pulled**2).sum(axis=1)
+            trace = own.sum() - squares.sum()
+            square = (own**2).sum() - 2 * (own * squares).sum() + ((pulled.T @ pulled) ** 2).sum()
+            if trace > 0 and square > 0:
+                found[k] = max(trace**2 / square, 1.0)
+        return found
+
+
+def reach_95(freedom: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
+    """Standard errors to either side of a 95 % interval: Student's t quantile.
+
+    By its expansion about the normal one (Abramowitz and Stegun 26.7.5), within 0.13 % from 3
+    degrees of freedom on, 0.8 % low at 2; below 2, where hardly anything is known, 2 is taken.
+    """
+    x = NORMAL_95
+    terms = (
+        (x**3 + x) / 4,
+        (5 * x**5 + 16 * x**3 + 3 * x) / 96,
+        (3 * x**7 + 19 * x**5 + 17 * x**3 - 15 * x) / 384,
+        (79 * x**9 + 776 * x**7 + 1482 * x**5 - 1920 * x**3 - 945 * x) / 92160,
+    )
+    inverse = 1 / np.maximum(freedom, 2.0)
+    return np.asarray(x + sum(term * inverse ** (k + 1) for k, term in enumerate(terms)))
+
+
+def spread_of(
+    columns: Sequence[Columns],
+    sizes: Sequence[tuple[int, int]],
+    samples: Samples,
+    model: Model,
+    vector: Entries,
+    along: Float[np.ndarray, "e p"],
+    residuals: Sequence[Float[np.ndarray, "_ 3"]],
+    noise: float,
+) -> Spread:
+    """The covariance at an end point.
+
+    Args:
+        sizes: height and width of each photo.
+        residuals: of each photo, by `residuals_of`.
+        noise: standard deviation of a sample, which priors are measured in.
+    """
+    p = along.shape[1]
+    length, area, products = _correlation(columns, sizes, residuals)
+    unit = LEAST_BLOCK
+    side = unit * int(np.ceil(max(LENGTHS * length, unit) / unit)) if length > 1 else unit
+    while True:
+        numbers = [
+            _block_numbers(c.index, size, side) for c, size in zip(columns, sizes, strict=True)
+        ]
+        blocks = sum(int(n.max(initial=-1)) + 1 for n in numbers)
+        if blocks >= max(FEWEST_BLOCKS, 3 * p) or side <= unit or side - unit < length:
+            break
+        side -= unit
+    scores, curved = _block_sums(samples, model, vector, along, numbers)
+    hessian = curved.sum(axis=0)
+    prior = np.zeros((p, p))
+    if model.prior is not None:
+        prior = (along.T * np.asarray(model.prior.weight)) @ along
+        hessian = hessian + prior
+    root = _inverse_root(hessian)
+    leverage = root.T @ curved @ root
+    whitened = np.einsum("gij,gj->gi", _stretch(leverage), scores @ root)
+    middle = whitened.T @ whitened * _border_share(products, side)
+    middle += noise**2 * root.T @ prior @ root
+    covariance = root @ middle @ root.T
+    return Spread(covariance, hessian, length, side, blocks, area, root, leverage)
+
+
+def rounding_bound(
+    columns: Sequence[Columns],
+    half_steps: Sequence[Float[np.ndarray, "_ 3"] | None],
+    samples: Samples,
+    model: Model,
+    vector: Entries,
+    along: Float[np.ndarray, "e p"],
+    to_told: Float[np.ndarray, "t p"],
+    hessian: Float[np.ndarray, "p p"],
+) -> Float[np.ndarray, " t"]:
+    """How far the photos' rounding to codes can move the parameters at most, to first order.
+
+    Every sample is off by half a code step at most, and the worst case has all of them conspire:
+    `Σ |influence| · half step`. No statistics enter, so it is a bound where rounding is no noise.
+    """
+    response = np.linalg.solve(hessian, to_told.T)
+    bound = np.zeros(len(to_told))
+    starts = [0] * len(columns)
+    for photo, influence in _influences(samples, model, vector, along @ response):
+        n = influence.shape[-1]
+        steps = half_steps[photo]
+        if steps is not None:
+            here = steps[starts[photo] : starts[photo] + n].T
+            bound += np.einsum("tcn,cn->t", np.abs(influence), here)
+        starts[photo] += n
+    return bound
+
+
+def influence_maps(
+    columns: Sequence[Columns],
+    sizes: Sequence[tuple[int, int]],
+    samples: Samples,
+    model: Model,
+    vector: Entries,
+    along: Float[np.ndarray, "e p"],
+    to_told: Float[np.ndarray, " p"],
+    hessian: Float[np.ndarray, "p p"],
+) -> list[Float[np.ndarray, "_ _ 3"]]:
+    """Derivative of one fitted parameter by each recorded sample; 0 where no pixel was used.
+
+    In parameter units per unit of recorded light.
+    """
+    maps = [np.zeros((*size, 3), np.float32) for size in sizes]
+    starts = [0] * len(columns)
+    response = np.linalg.solve(hessian, to_told)
+    for photo, influence in _influences(samples, model, vector, along @ response[:, None]):
+        n = influence.shape[-1]
+        index = columns[photo].index[starts[photo] : starts[photo] + n]
+        maps[photo].reshape(-1, 3)[index] = influence[0].T
+        starts[photo] += n
+    return maps
+
+
+def residuals_of(
+    columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """Recorded minus predicted light of each photo's used samples; NaN where one is clipped."""
+    found = [np.empty_like(c.light) for c in columns]
+    starts = [0] * len(columns)
+    count, photo = np.asarray(samples.count), np.asarray(samples.photo)
+    with jax.enable_x64(True):
+        for filled, numbers in _groups(samples):
+            residual = np.asarray(_tile_residuals(vector, samples, model, numbers))
+            for k in range(filled):
+                n, which = count[numbers[k]], photo[numbers[k]]
+                found[which][starts[which] : starts[which] + n] = residual[k, :, :n].T
+                starts[which] += n
+    for c, residual in zip(columns, found, strict=True):
+        if c.clipped is not None:
+            residual[c.clipped != 0] = np.nan
+    return found
+
+
+def _groups(samples: Samples) -> Iterator[tuple[int, np.ndarray]]:
+    """Tile numbers, a fixed number at a time; those beyond the last repeat tile 0."""
+    used = int(samples.used)
+    for start in range(0, used, _GROUP):
+        numbers = np.arange(start, start + _GROUP)
+        yield min(_GROUP, used - start), np.where(numbers < used, numbers, 0).astype(np.int32)
+
+
+@eqx.filter_jit
+def _tile_residuals(
+    vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray
+) -> jax.Array:
+    def residual(number: jax.Array) -> jax.Array:
+        tile = tile_at(samples, number)
+        return tile.light - predict(vector, tile, model.linear)
+
+    return jax.lax.map(residual, jnp.asarray(numbers))
+
+
+def _block_sums(
+    samples: Samples,
+    model: Model,
+    vector: Entries,
+    along: Float[np.ndarray, "e p"],
+    blocks: Sequence[np.ndarray],
+) -> tuple[Float[np.ndarray, "blocks p"], Float[np.ndarray, "blocks p p"]]:
+    """Sums over each block of scores and of half the second derivatives, without priors."""
+    p = along.shape[1]
+    pairs = np.tril_indices(p)
+    counts = [int(numbers.max(initial=-1)) + 1 for numbers in blocks]
+    sums = [np.zeros((n, p + len(pairs[0]))) for n in counts]
+    starts = [0] * len(blocks)
+    count, photo = np.asarray(samples.count), np.asarray(samples.photo)
+    with jax.enable_x64(True):
+        for filled, tiles in _groups(samples):
+            found = np.asarray(_tile_scores(vector, along, samples, model, tiles))
+            for k in range(filled):
+                n, which = count[tiles[k]], photo[tiles[k]]
+                numbers = blocks[which][starts[which] : starts[which] + n]
+                # Pixels come row by row: one sum for each run within a block.
+                runs = np.append(0, np.flatnonzero(np.diff(numbers)) + 1)
+                totals = np.add.reduceat(found[k, :, :n], runs, axis=1)
+                np.add.at(sums[which], numbers[runs], totals.T)
+                starts[which] += n
+    total = np.concatenate(sums)
+    curved = np.zeros((len(total), p, p))
+    curved[:, pairs[0], pairs[1]] = total[:, p:]
+    curved[:, pairs[1], pairs[0]] = total[:, p:]
+    return total[:, :p], curved
+
+
+@eqx.filter_jit
+def _tile_scores(
+    vector: AnyArray, along: AnyArray, samples: Samples, model: Model, numbers: AnyArray
+) -> jax.Array:
+    """Of each pixel: p scores, then the lower half of half its second derivative; [tiles, q, n]."""
+    start, columns = jnp.asarray(vector), jnp.asarray(along)
+    pairs = np.tril_indices(columns.shape[1])
+
+    def scores(number: jax.Array) -> jax.Array:
+        tile = tile_at(samples, number)
+
+        def score_at(step: jax.Array) -> tuple[jax.Array, jax.Array]:
+            predicted, slopes = tile_slopes(start + columns @ step, columns, tile, model.linear)
+            _, score, _ = weigh(predicted - tile.light, tile.clipped, model.loss)
+            found = jnp.einsum("icn,cn->in", slopes, score) * tile.weight[None]
+            return found, found
+
+        curved, score = jax.jacfwd(score_at, has_aux=True)(jnp.zeros(columns.shape[1]))
+        return jnp.concatenate([score, jnp.moveaxis(curved, -1, 1)[pairs]])
+
+    return jax.lax.map(scores, jnp.asarray(numbers))
+
+
+def _inverse_root(hessian: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
+    """R with R Rᵀ = H⁻¹, by eigenvalues of H with a unit diagonal."""
+    scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(hessian)), 1e-300))
+    values, vectors = np.linalg.eigh(hessian * scale * scale[:, None])
+    floor = len(values) * np.finfo(np.float64).eps
+    return np.asarray(scale[:, None] * vectors / np.sqrt(np.maximum(values, floor)))
+
+
+def _stretch(leverage: Float[np.ndarray, "blocks p p"]) -> Float[np.ndarray, "blocks p p"]:
+    """(1 - B)^-½ of each block's leverage B."""
+    values, vectors = np.linalg.eigh(leverage)
+    # A robust loss or a strongly curved model can make a block's share negative.
+    stretched = 1 / np.sqrt(1 - np.clip(values, 0, MOST_LEVERAGE))
+    return np.asarray((vectors * stretched[:, None, :]) @ vectors.swapaxes(1, 2))
+
+
+def _influences(
+    samples: Samples, model: Model, vector: Entries, along: Float[np.ndarray, "e t"]
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Photo and influence [t, 3, n] of each tile; `along` is directions × H⁻¹ × what is asked."""
+    count, photo = np.asarray(samples.count), np.asarray(samples.photo)
+    with jax.enable_x64(True):
+        for filled, numbers in _groups(samples):
+            found = np.asarray(_tile_influence(vector, along, samples, model, numbers))
+            for k in range(filled):
+                number = numbers[k]
+                yield int(photo[number]), found[k, ..., : count[number]]
+
+
+@eqx.filter_jit
+def _tile_influence(
+    vector: AnyArray, along: AnyArray, samples: Samples, model: Model, numbers: AnyArray
+) -> jax.Array:
+    def influence(number: jax.Array) -> jax.Array:
+        tile = tile_at(samples, number)
+        predicted, slopes = tile_slopes(vector, along, tile, model.linear)
+
+        def score_of(light: jax.Array) -> jax.Array:
+            return weigh(predicted - light, tile.clipped, model.loss)[1]
+
+        _, by_light = jax.jvp(score_of, (tile.light,), (jnp.ones_like(tile.light),))
+        return -slopes * (by_light * tile.weight[None])[None]
+
+    return jax.lax.map(influence, jnp.asarray(numbers))
+
+
+def _block_numbers(index: np.ndarray, size: tuple[int, int], side: int) -> np.ndarray:
+    """Number of the block of each pixel, counted over the blocks that hold any."""
+    across = -(-size[1] // side)
+    rows, columns = np.divmod(index, size[1])
+    number = (rows // side) * across + columns // side
+    return np.unique(number, return_inverse=True)[1].reshape(-1)
+
+
+def _correlation(
+    columns: Sequence[Columns],
+    sizes: Sequence[tuple[int, int]],
+    residuals: Sequence[Float[np.ndarray, "_ 3"]],
+) -> tuple[float, float, list[np.ndarray]]:
+    """Correlation length and area in pixels, and summed products of residuals by lag, a photo each.
+
+    The length is the lag at which the mean over all directions has fallen below what is left of
+    independent residuals by chance (three standard deviations), or below 1/20.
+    """
+    found = [
+        _products(c.index, size, r) for c, size, r in zip(columns, sizes, residuals, strict=True)
+    ]
+    products = [product for product, _ in found]
+    total, pairs = np.sum(products, axis=0), np.sum([pair for _, pair in found], axis=0)
+    lag = np.hypot(*np.meshgrid(*2 * [np.arange(-_LAGS, _LAGS + 1)], indexing="ij"))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rings = [np.round(lag) == k for k in range(_LAGS)]
+        mean = np.array([total[ring].sum() / max(pairs[ring].sum(), 1) for ring in rings])
+        number = np.array([max(pairs[ring].sum(), 1.0) for ring in rings])
+    if mean[0] <= 0:
+        return 1.0, 1.0, products
+    profile = mean / mean[0]
+    quiet = profile < np.maximum(0.05, 3 / np.sqrt(number / 2))
+    length = int(np.argmax(quiet)) if quiet.any() else _LAGS
+    inside = lag < length
+    share = np.where(pairs > 0, total / np.maximum(pairs, 1), 0) / mean[0]
+    area = float(np.maximum(share[inside].sum(), 1.0))
+    return float(max(length, 1)), area, products
+
+
+def _products(
+    index: np.ndarray, size: tuple[int, int], residual: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Σ r(x) r(x + d) and the number of pairs, for lags d up to `_LAGS`; summed over channels."""
+    rows, cols = np.divmod(index, size[1])
+    if not index.size:
+        nothing = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
+        return nothing, nothing
+    top, left = rows.min(), cols.min()
+    # A part of the frame is enough: the most crowded square of 1024 pixels.
+    shape = (int(rows.max() - top) + 1, int(cols.max() - left) + 1)
+    mask = np.zeros(shape, np.float32)
+    mask[rows - top, cols - left] = 1
+    part = _crowded(mask)
+    padded = tuple(_fast_length(n + _LAGS) for n in mask[part].shape)
+    wanted = np.ix_(*(np.arange(-_LAGS, _LAGS + 1) % n for n in padded))
+
+    def lagged(picture: np.ndarray) -> np.ndarray:
+        power = np.abs(np.fft.rfft2(picture, padded)) ** 2
+        return np.asarray(np.fft.irfft2(power, padded)[wanted])
+
+    products = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
+    image = np.zeros(shape, np.float32)
+    for channel in residual.T:  # not their mean: JPEG's errors of colour have none
+        image[rows - top, cols - left] = np.nan_to_num(channel)
+        products += lagged(image[part]) / residual.shape[1]
+    return products, np.maximum(np.round(lagged(mask[part])), 0)
+
+
+_WINDOW = 1024
+
+
+def _crowded(mask: np.ndarray) -> tuple[slice, slice]:
+    """The square of `_WINDOW` pixels with the most used ones, of those side by side."""
+    best = (-1.0, slice(None), slice(None))
+    for top in range(0, mask.shape[0], _WINDOW):
+        for left in range(0, mask.shape[1], _WINDOW):
+            part = slice(top, top + _WINDOW), slice(left, left + _WINDOW)
+            best = max(best, (float(mask[part].sum()), *part), key=lambda found: found[0])
+    return best[1:]
+
+
+def _fast_length(n: int) -> int:
+    """The next length of which NumPy's FFT is quick: 2^a 3^b 5^c."""
+    while True:
+        rest = n
+        for factor in (2, 3, 5):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return n
+        n += 1
+
+
+def _border_share(products: Sequence[np.ndarray], side: int) -> float:
+    """How much larger the middle is without the blocks' borders, which cut products in two."""
+    total = np.asarray(sum(products))
+    center = total[_LAGS, _LAGS]
+    if center <= 0:
+        return 1.0
+    lags = np.abs(np.arange(-_LAGS, _LAGS + 1))
+    reach = lags <= min(side // LENGTHS + 1, _LAGS)
+    kept = np.maximum(1 - lags / side, 0)
+    window = np.outer(reach, reach)
+    whole = float((total * window).sum())
+    cut = float((total * window * np.outer(kept, kept)).sum())
+    return float(np.clip(whole / cut, 1.0, 2.0)) if cut > 0 else 1.0
