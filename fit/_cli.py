@@ -1,4 +1,4 @@
-"""The command line: `airlight render | fit | check | version`.
+"""The command line: `airlight render | fit | check | export | bench | version`.
 
 Exit codes: 0 done (and, with a warning, a fit at a bound); 1 the check failed or the fit has
 another verdict; 2 bad input, in one line on standard error with a remedy.
@@ -21,8 +21,10 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 import render_gl
 from model_jax import AirlightError, InputError, Layers, Look, Scene, Srgb, composite
 
+from . import _assignments as assignments
+from ._export import Format, export_text, read_fit, write_export
 from ._job import Job, make_layers, prepare_folder, run_job, versions
-from ._terminal import print_check, print_fit
+from ._terminal import print_bench, print_check, print_fit
 
 # Typer shows the whole usage for a wrong option; its exception's text alone is one line.
 UsageError: Any = typer.BadParameter.__base__
@@ -117,7 +119,10 @@ def render(
 def fit(
     paths: Annotated[
         list[str],
-        typer.Argument(metavar="[SCENE] PHOTO", help="Scene file and photo; PHOTO with --layers."),
+        typer.Argument(
+            metavar="SCENE PHOTO ...",
+            help="Scene file and photo, once or for several photos; PHOTO alone with --layers.",
+        ),
     ],
     out: Annotated[str, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.")],
     layers: Annotated[
@@ -137,29 +142,55 @@ def fit(
         DepthOption | None, typer.Option(help="Depth format of the passes; linear by default.")
     ] = None,
     tone_curve: Annotated[
-        str | None, typer.Option(help="linear, srgb or EXPOSURE,GAMMA of 1-exp(-EXPOSURE x).")
+        str | None,
+        typer.Option(help="linear, srgb or EXPOSURE,GAMMA of 1-exp(-EXPOSURE x); one photo only."),
     ] = None,
     mask: Annotated[
-        str | None, typer.Option(help="Picture of the photo's size; white = use the pixel.")
+        str | None,
+        typer.Option(help="Picture of the photo's size; white = use the pixel; one photo only."),
     ] = None,
     free: Annotated[
-        str | None, typer.Option(help="Comma-separated parameters to fit, instead of all.")
+        str | None,
+        typer.Option(metavar="A,B", help="Parameters to fit, such as brightness,gamma.2."),
     ] = None,
-    solver: Annotated[str, typer.Option(help="Solver by name.")] = "lm",
+    start: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Start value, also of what is held; repeatable."),
+    ] = None,
+    bounds: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=LOW:HIGH", help="Allowed range; an end may be left out."),
+    ] = None,
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=MEAN:SIGMA", help="What is known before the photo."),
+    ] = None,
+    tie: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=OTHER", help="Two parameters that shall be equal."),
+    ] = None,
+    loss: Annotated[
+        str, typer.Option(help="linear, or to doubt outliers: huber, soft_l1, cauchy.")
+    ] = "linear",
+    solver: Annotated[
+        str, typer.Option(help="lm, dogleg, gauss_newton, bfgs, lbfgs or nelder_mead.")
+    ] = "lm",
+    max_steps: Annotated[int | None, typer.Option(help="Steps the solver may take.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Fit brightness, shadow weight, tint and background to a photo."""
-    if len(paths) != (1 if layers is not None else 2):
-        raise InputError(
-            f"fit: got {len(paths)} paths; give SCENE PHOTO, or --layers LAYERS.exr PHOTO"
-        )
+    """Fit a look to a photo, or one look to several photos.
+
+    The look is brightness, shadow weight, tint and background. Several photos share it, and each
+    has an exposure and a black level of its own instead of the background.
+    """
+    _check_paths(paths, layers)
     if layers is None and (near is not None or far is not None):
         raise InputError("fit: --near and --far go with --layers; a scene has its own clip planes")
     if layers is not None and (source is not None or depth is not None):
         raise InputError("fit: --source and --depth draw a scene's layers; --layers has its own")
     job = Job(
-        photo=paths[-1],
-        scene=paths[0] if layers is None else None,
+        photos=tuple(paths if layers is not None else paths[1::2]),
+        scenes=tuple(paths[::2]) if layers is None else (),
         layers=layers,
         near=near,
         far=far,
@@ -167,8 +198,14 @@ def fit(
         depth_format=(depth or DepthOption.linear).value,
         tone_curve=_tone_curve(tone_curve),
         mask=mask,
-        free=None if free is None else tuple(name.strip() for name in free.split(",")),
+        free=assignments.names(free),
+        start=assignments.starts(start or ()),
+        bounds=assignments.bounds(bounds or ()),
+        priors=assignments.priors(prior or ()),
+        tied=assignments.ties(tie or ()),
+        loss=loss,
         solver=solver,
+        max_steps=max_steps,
         command=shlex.join(["airlight", *sys.argv[1:]]),
     )
     with _steps() as step:
@@ -214,6 +251,43 @@ def check(
 
 
 @app.command()
+def export(
+    fit_json: Annotated[str, typer.Argument(metavar="FIT.json", help="What a fit wrote.")],
+    to: Annotated[
+        Format, typer.Option(help="Shader constants, flat JSON, a scene's [look], or a table.")
+    ],
+    out: Annotated[
+        str | None, typer.Option("-o", "--out", metavar="FILE", help="Instead of standard output.")
+    ] = None,
+) -> None:
+    """Write a fit's numbers for a shader, a scene file or a program."""
+    fitted = read_fit(fit_json)
+    if out is None:
+        print(export_text(fitted, to), end="")
+    else:
+        write_export(out, fitted, to)
+    if fitted.warning is not None:
+        print(f"airlight: warning: {fitted.warning}", file=sys.stderr)
+
+
+@app.command()
+def bench(
+    out: Annotated[str, typer.Option("-o", "--out", metavar="DIR", help="Folder for the tables.")],
+    quick: Annotated[bool, typer.Option(help="A sixteenth of the pixels; no large photo.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how fast a fit is, beside SciPy and optimistix, on this machine."""
+    from ._bench import run_bench  # its peer, SciPy, is an extra
+
+    with _steps() as step:
+        document = run_bench(out, quick, step)
+    if as_json:
+        print(json.dumps(document, allow_nan=False))
+    else:
+        print_bench(Console(), document, out)
+
+
+@app.command()
 def version(as_json: JsonOption = False) -> None:
     """Versions, OpenGL renderer and JAX devices."""
     try:
@@ -232,7 +306,21 @@ def version(as_json: JsonOption = False) -> None:
 
 def _command() -> list[str]:
     """The subcommand on the command line, if there is one."""
-    return [word for word in sys.argv[1:2] if word in ("render", "fit", "check", "version")]
+    commands = ("render", "fit", "check", "export", "bench", "version")
+    return [word for word in sys.argv[1:2] if word in commands]
+
+
+def _check_paths(paths: list[str], layers: str | None) -> None:
+    """SCENE PHOTO pairs, or one PHOTO for layers."""
+    if layers is not None and len(paths) != 1:
+        raise InputError(
+            f"fit: got {len(paths)} paths with --layers; give --layers LAYERS.exr PHOTO"
+        )
+    if layers is None and (len(paths) % 2 or not paths):
+        raise InputError(
+            f"fit: got {len(paths)} paths; give SCENE PHOTO, for several photos "
+            "SCENE1 PHOTO1 SCENE2 PHOTO2, or --layers LAYERS.exr PHOTO"
+        )
 
 
 def _picture(

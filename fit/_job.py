@@ -1,18 +1,22 @@
-"""The main job from files to files: scene and photo in, a folder with the fit and its report out.
+"""The main job from files to files: scenes and photos in, a folder with the fit and its report out.
 
-    photo + scene ──> layers ──> fit ──> fit.json, report.html, image.exr, residual.exr, layers.exr
+    photo + scene ──> layers ──> fit ──> fit.json, report.html, image.exr, residual.exr, layers.exr,
+    (as many as there are)               influence.exr (of several photos image-1.exr …)
 
-This is where `fit` and `render_gl` meet; the core of `fit` knows arrays only.
+This is where `fit` and `render_gl` meet; the core of `fit` knows arrays only. Photos are large and
+several: pictures are made in bands of rows, and of one photo at a time.
 """
 
 import json
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
@@ -22,110 +26,175 @@ from model_jax import (
     InputError,
     Layers,
     Look,
+    Response,
     Scene,
     analytic_layers,
     composite,
     layer_widths,
     limb_height,
+    record,
 )
+from model_jax._shapes import AnyArray
 
 from ._fit import fit
-from ._parameters import named_free
+from ._loss import check_loss
+from ._parameters import declare, to_entries, to_look, to_responses
 from ._photo import Photo, load_photo
-from ._report import report_html
+from ._report import Section, photo_section, report_html
 from ._result import FitResult
 from ._solve import make_solver
 
 Source = Literal["raster", "analytic"]
-FILES = ("fit.json", "report.html", "image.exr", "residual.exr", "layers.exr")
+FILES = ("fit.json", "report.html", "image.exr", "residual.exr", "layers.exr", "influence.exr")
+"""What a fit of one photo leaves; the last only where a value was told."""
 DISTRIBUTIONS = ("airlight", "jax", "optimistix", "numpy", "moderngl", "OpenEXR")
+
+_BAND = 2**18
+"""Pixels whose picture is computed at once: a few MB for each quantity on the way to it."""
 
 
 @dataclass(frozen=True)
 class Job:
     """What to fit, and how."""
 
-    photo: str
-    scene: str | None = None
-    """Scene file; exactly one of scene and layers is given."""
+    photos: tuple[str, ...]
+    scenes: tuple[str, ...] = ()
+    """Scene files, one for each photo; none where layers are given."""
     layers: str | None = None
-    """Layer EXR of some renderer."""
+    """Layer EXR of some renderer, for one photo."""
     near: float | None = None
     far: float | None = None
     source: Source = "raster"
     """Where a scene's layers come from."""
     depth_format: render_gl.DepthFormat = "linear"
     tone_curve: str | None = None
+    """Of one photo; several have theirs in their scenes."""
     mask: str | None = None
+    """Of one photo, as its tone curve."""
     free: tuple[str, ...] | None = None
+    start: Mapping[str, float] = field(default_factory=dict)
+    """Start values of look and response, by name; without one the first scene's look."""
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    tied: Mapping[str, str] = field(default_factory=dict)
+    loss: str = "linear"
     solver: str = "lm"
+    max_steps: int | None = None
     command: str = ""
     """The command line, for the report."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A photo and how it was seen."""
+
+    name: str
+    """The photo's path as given."""
+    photo: Photo
+    scene: Scene | None
+    """On the photo's pixel grid; None where layers came from a file."""
+    scene_path: str | None
+    height: Float[np.ndarray, "h w"] | None
+    """Above the limb, of each pixel's line of sight; float32 (it is made on the way in float64,
+    which is best done while little else is held)."""
 
 
 def run_job(
     job: Job, out: str, progress: Callable[[str], None] = lambda step: None
 ) -> tuple[FitResult, dict[str, Any]]:
-    """Do the job and write `FILES` into the folder `out`, made if need be.
+    """Do the job and write its files into the folder `out`, made if need be.
 
     Args:
         progress: called with the name of each step as it begins.
 
     Returns:
-        The fit and the document written to fit.json.
+        The fit, without the samples that influence maps are made from, and the document written to
+        fit.json.
 
     Raises `InputError` or `DriverError`; each file appears whole or not at all, and fit.json last,
     so that its presence means that all are there.
     """
-    # Slips in names are found out before the work, not after.
-    named_free(job.free)
-    make_solver(job.solver)
+    files = [render_gl.load_scene(path) for path in job.scenes]
+    look, responses = start_values(job, files[0].look if files else Look())
+    _check_names(job, look, responses)  # slips are found out before the work, not after
     folder = prepare_folder(out)
-    progress("reading the photo")
-    file = render_gl.load_scene(job.scene) if job.scene is not None else None
-    photo = _load(job, file)
-    height, width = photo.linear.shape[:2]
-    started = time.perf_counter()
-    progress(f"drawing layers, {width}×{height}")
-    scene = _at_photo_size(file.scene, width, height, job.photo) if file is not None else None
-    if scene is not None:
-        layers = make_layers(scene, job.source, job.depth_format)
-    else:
-        assert job.layers is not None
-        layers = render_gl.read_layers(job.layers, job.near, job.far)
-    seconds = {"render": time.perf_counter() - started}
+    views: list[View] = []
+    layers: list[Layers] = []
+    seconds = {"render": 0.0}
+    for number in range(len(job.photos)):
+        progress(f"reading {job.photos[number]}")
+        view = _view(job, number, files[number] if files else None)
+        started = time.perf_counter()
+        progress("drawing layers, {1}×{0}".format(*view.photo.reason.shape))
+        views.append(view)
+        layers.append(_layers(job, view))
+        seconds["render"] += time.perf_counter() - started
     progress("fitting")
-    look = file.look if file is not None else Look()
-    result = fit(photo, layers, look, free=job.free, solver=job.solver)
+    result = fit(
+        [view.photo for view in views],
+        layers,
+        look,
+        free=job.free,
+        response=responses,
+        bounds=job.bounds,
+        priors=job.priors,
+        tied=job.tied,
+        loss=job.loss,
+        solver=job.solver,
+        max_steps=job.max_steps,
+    )
     seconds |= result.seconds
 
     progress("writing the report")
     started = time.perf_counter()
-    picture = np.asarray(composite(layers, result.look), dtype=np.float32)
-    document = _document(job, photo, scene, result, seconds)
-    page = report_html(
-        document,
-        photo.linear,
-        picture[..., :3],
-        result.used,
-        limb_height(scene) if scene is not None else None,
-        photo.tone_curve,
-        job.command,
-        shadowed=_shadowed(layers),
-    )
     # An earlier fit.json would vouch for files that are now replaced one by one.
     (folder / "fit.json").unlink(missing_ok=True)
+    document = _document(job, views, result, seconds)
+    maps = [_write_maps(folder, result, number) for number in range(len(views))]
+    result = replace(result, evidence=None)  # samples and layers, as large as the photos
+    sections = [
+        _write_photo(folder, view, layers.pop(0), result, number, maps[number])
+        for number, view in enumerate(views)
+    ]
+    page = report_html(document, sections, job.command)
     render_gl.write_whole(folder / "report.html", lambda path: _write_text(path, page))
-    render_gl.write_layers(folder / "layers.exr", layers, scene)
-    render_gl.write_picture(folder / "image.exr", picture, scene)
-    render_gl.write_channels(
-        folder / "residual.exr", _residual_channels(photo, picture, result), {}
-    )
     seconds["report"] = time.perf_counter() - started
     document["seconds"] = {name: round(value, 6) for name, value in seconds.items()}
     text = json.dumps(document, indent=2, allow_nan=False) + "\n"
     render_gl.write_whole(folder / "fit.json", lambda path: _write_text(path, text))
     return result, document
+
+
+def start_values(job: Job, look: Look) -> tuple[Look, tuple[Response, ...]]:
+    """Look and responses to start from: the given look, with what the job says.
+
+    Raises:
+        InputError: an unknown name, or a value that the look or a response cannot have.
+    """
+    parameters = declare(look, [Response()] * len(job.photos))
+    vector = to_entries(parameters)
+    for name, value in job.start.items():
+        members = [p for p in parameters if name in (p.name, p.family)]
+        if not members:
+            known = dict.fromkeys([*(p.family for p in parameters), *(p.name for p in parameters)])
+            raise InputError(f"start: {name!r} is no parameter; choose from {list(known)}")
+        for p in members:
+            vector[list(p.entries)] = value
+    return to_look(vector, look), to_responses(vector)
+
+
+def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
+    """What `fit` would refuse, before anything is read or drawn."""
+    declare(look, responses, free=job.free, bounds=job.bounds, priors=job.priors, tied=job.tied)
+    check_loss(job.loss)
+    make_solver(job.solver)
+    if job.max_steps is not None and job.max_steps < 1:
+        raise InputError(f"max-steps: {job.max_steps} is too few; allow 1 or more")
+    if len(job.photos) > 1 and (job.mask is not None or job.tone_curve is not None):
+        raise InputError(
+            "fit: --mask and --tone-curve are of one photo; with several, write mask and "
+            "tone_curve into [photo] of each one's scene"
+        )
 
 
 def make_layers(scene: Scene, source: Source, depth_format: render_gl.DepthFormat) -> Layers:
@@ -140,15 +209,30 @@ def versions() -> dict[str, str]:
     return {name: metadata.version(name) for name in DISTRIBUTIONS}
 
 
-def _load(job: Job, file: render_gl.SceneFile | None) -> Photo:
+def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> View:
     """The photo; a scene's [photo] table speaks of the scene's own photo, of no other."""
+    name = job.photos[number]
     curve: object = job.tone_curve
     mask = job.mask
     own = file is not None and file.photo.path is not None
-    if file is not None and own and Path(job.photo).resolve() == Path(str(file.photo.path)):
+    if file is not None and own and Path(name).resolve() == Path(str(file.photo.path)):
         curve = curve if curve is not None else file.photo.tone_curve
         mask = mask if mask is not None else file.photo.mask
-    return load_photo(job.photo, curve, mask)
+    photo = load_photo(name, curve, mask)
+    if file is None:
+        return View(name, photo, None, None, None)
+    height, width = photo.reason.shape
+    scene = _at_photo_size(file.scene, width, height, name)
+    tall = limb_height(scene).astype(np.float32)
+    return View(name, photo, scene, job.scenes[number], tall)
+
+
+def _layers(job: Job, view: View) -> Layers:
+    """Drawn, or read."""
+    if view.scene is not None:
+        return make_layers(view.scene, job.source, job.depth_format)
+    assert job.layers is not None
+    return render_gl.read_layers(job.layers, job.near, job.far)
 
 
 def _at_photo_size(scene: Scene, width: int, height: int, photo: str) -> Scene:
@@ -168,38 +252,142 @@ def _at_photo_size(scene: Scene, width: int, height: int, photo: str) -> Scene:
 
 
 def _document(
-    job: Job, photo: Photo, scene: Scene | None, result: FitResult, seconds: dict[str, float]
+    job: Job, views: Sequence[View], result: FitResult, seconds: dict[str, float]
 ) -> dict[str, Any]:
-    """The contents of fit.json, schema 1."""
-    drawn = scene is not None and job.source == "raster"
+    """The contents of fit.json, schema 2; what it says of a photo at the top is of the first."""
+    drawn = bool(job.scenes) and job.source == "raster"
+    made = result.to_dict()
+    about = [_about(view) for view in views]
+    photos = [facts | told for facts, told in zip(about, made["photos"], strict=True)]
     return {
-        "schema": 1,
-        "scene": job.scene,
+        "schema": 2,
+        **about[0],
         "layers": job.layers,
-        "scene_hash": render_gl.scene_hash(scene) if scene is not None else None,
-        "source": job.source if scene is not None else "file",
-        "photo": job.photo,
-        "tone_curve": photo.tone_curve.describe(),
-        **result.to_dict(),
+        "source": job.source if job.scenes else "file",
+        **made,
+        "photos": photos,
         "seconds": seconds,
         "versions": versions() | ({"OpenGL": render_gl.renderer_name()} if drawn else {}),
         "command": job.command,
     }
 
 
-def _shadowed(layers: Layers) -> Bool[np.ndarray, "h w"] | None:
-    """Where most of the ray's air is in shadow; None without shadow layers."""
+def _about(view: View) -> dict[str, Any]:
+    return {
+        "scene": view.scene_path,
+        "scene_hash": None if view.scene is None else render_gl.scene_hash(view.scene),
+        "photo": view.name,
+        "tone_curve": view.photo.tone_curve.describe(),
+    }
+
+
+@dataclass(frozen=True)
+class Maps:
+    """What each pixel of a photo meant to the fit."""
+
+    influence: tuple[str, Float[np.ndarray, "h w"]] | None
+    """A parameter, and its derivative by each pixel's light, summed over channels."""
+    weights: Float[np.ndarray, "h w"] | None
+    """How much a robust loss believed each pixel."""
+
+
+def _write_maps(folder: Path, result: FitResult, number: int) -> Maps:
+    """The influence map as a file, and what the report shows of it; none where nothing was told."""
+    path = folder / f"influence{_ending(result, number)}"
+    weights = result.weights(number) if result.loss != "linear" and result.evidence else None
+    name = told_first(result)
+    if name is None:
+        path.unlink(missing_ok=True)  # an earlier fit's
+        return Maps(None, weights)
+    found = result.influence(name, number)
+    channels = {channel: found[..., k] for k, channel in enumerate("RGB")}
+    render_gl.write_channels(path, channels, {"airlight.parameter": name})
+    return Maps((name, found.sum(axis=-1)), weights)
+
+
+def told_first(result: FitResult) -> str | None:
+    """The parameter whose influence map is shown: the shadow weight, else the first one told."""
+    names = result.correlation_names
+    shadows = [name for name in names if name.startswith("shadow")]
+    return next(iter([*shadows, *names]), None)
+
+
+def _write_photo(
+    folder: Path, view: View, layers: Layers, result: FitResult, number: int, maps: Maps
+) -> Section:
+    """Write the EXR files of one photo; returns its part of the report."""
+    told, ending = result.photos[number], _ending(result, number)
+    render_gl.write_layers(folder / f"layers{ending}", layers, view.scene)
+    # Brightness refers to the first photo's width unit; so must the widths.
+    layers = replace(jax.tree.map(np.asarray, layers), width_unit=result.width_unit)
+    planes, shadowed = predict(layers, result.look, told.response)
+    del layers
+    picture = np.moveaxis(planes, 0, -1)
+    render_gl.write_picture(folder / f"image{ending}", picture, view.scene)
+    section = photo_section(
+        view.name,
+        view.photo.linear,
+        picture[..., :3],
+        told.used,
+        view.height,
+        view.photo.tone_curve,
+        shadowed=shadowed,
+        influence=maps.influence,
+        weights=maps.weights,
+        count=len(result.photos),
+    )
+    channels = {}
+    for k, name in enumerate("RGB"):
+        np.subtract(view.photo.linear[..., k], planes[k], out=planes[k])
+        planes[k][~told.used] = 0
+        channels[name] = planes[k]
+    planes[3] = told.used
+    channels["used.Y"] = planes[3]
+    render_gl.write_channels(folder / f"residual{ending}", channels, {})
+    return section
+
+
+def _ending(result: FitResult, number: int) -> str:
+    """Of file names: with the photo's number where there are several."""
+    return f"-{number + 1}.exr" if len(result.photos) > 1 else ".exr"
+
+
+def predict(
+    layers: Layers, look: Look, response: Response
+) -> tuple[Float[np.ndarray, "4 h w"], Bool[np.ndarray, "h w"] | None]:
+    """What a look and a response make of layers, and where most of the ray's air is in shadow.
+
+    In bands of rows, so that nothing but the picture is as large as the photo, and by channels, as
+    files store them.
+
+    Returns:
+        Recorded light and coverage, float32; None without shadow layers.
+    """
+    height, width = np.shape(layers.front)
+    rows = min(height, max(1, _BAND // width))
+    linear = float(response.gamma) == 1
+    planes = np.empty((4, height, width), np.float32)
+    shadowed = np.empty((height, width), bool) if layers.has_shadow else None
+    for start in range(0, height, rows):
+        # The last band reaches back over the one before: one shape, one compiled program.
+        band = slice(min(start, height - rows), min(start + rows, height))
+        part = jax.tree.map(lambda a, band=band: a[band] if np.ndim(a) > 1 else a, layers)
+        seen, shade = _predict_band(part, look, response, linear=linear)
+        planes[:, band] = np.moveaxis(np.asarray(seen), -1, 0)
+        if shadowed is not None:
+            shadowed[band] = shade
+    return planes, shadowed
+
+
+@partial(jax.jit, static_argnames="linear")
+def _predict_band(
+    layers: Layers, look: Look, response: Response, linear: bool
+) -> tuple[AnyArray, AnyArray | None]:
+    seen = composite(layers, look)
+    recorded = record(seen[..., :3], response, linear=linear)
     lit, dark = layer_widths(layers)
-    return None if dark is None else np.asarray(dark > lit)
-
-
-def _residual_channels(
-    photo: Photo, picture: Float[np.ndarray, "h w 4"], result: FitResult
-) -> dict[str, np.ndarray]:
-    """Photo minus model, linear light, and which pixels were used."""
-    residual = photo.linear - picture[..., :3]
-    channels = {name: residual[..., k] for k, name in enumerate("RGB")}
-    return channels | {"used.Y": result.used.astype(np.float32)}
+    shade = None if dark is None else dark > lit
+    return jnp.concatenate([recorded, seen[..., 3:]], axis=-1), shade
 
 
 def prepare_folder(out: str) -> Path:

@@ -1,14 +1,15 @@
-"""Pictures of a report: photo and model, signed residual, the window worth enlarging, profiles.
+"""Pictures of a report: photo and model, signed maps, the window worth enlarging, charts.
 
 Arrays in, PNG data addresses out (`data:image/png;base64,…`); what they mean and where they stand
 on the page is `_report`'s. Every function takes whatever a photo can be: one pixel, NaN, nothing
-used. Nothing here touches matplotlib's global state.
+used. Photos may be large, so nothing here makes a float64 copy of a whole one, and colours are
+treated one channel at a time. Nothing touches matplotlib's global state.
 """
 
 import base64
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,17 +18,20 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from model_jax import Linear, Srgb, ToneCurve
 
 MAX_WIDTH = 1200
 """Pixels across a picture at most: what a wide screen shows of it enlarged."""
-_COLORMAP = "RdBu_r"
+RESIDUAL, INFLUENCE, WEIGHT = "RdBu_r", "PuOr_r", "cividis"
+"""Colour maps: two signed ones, white at zero, told apart by their colours; one from 0 to 1."""
 _LEVELS = 101
-"""Colours of a residual; odd, so that zero has its own. A palette of 101 halves the PNG."""
+"""Colours of a map; odd, so that zero has its own. A palette of 101 halves the PNG."""
 _HATCH = ((126, 130, 138), (142, 146, 154))
 _CHANNELS = (("red", "#d64550"), ("green", "#2a9d5c"), ("blue", "#3f83e0"))
+_CURVE = "#9a7bd0"
 _INK = {"light": "#3c4657", "dark": "#aab4c3"}
 _BINS = 40
 """Height bins of a profile at most; rings thinner than 40 pixels sample them at all phases."""
@@ -43,11 +47,9 @@ class Display:
     note: str
     """In words."""
 
-    def codes(self, linear: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-        """8-bit picture; NaN is black, light above the range white."""
-        # 1e6 is white through every curve, and safe from overflow in float32.
-        light = np.clip(np.nan_to_num(linear, nan=0.0, posinf=1e6, neginf=0.0), 0.0, 1e6)
-        shown = np.clip(np.asarray(self.curve.encode(light * self.scale)), 0.0, 1.0)
+    def codes(self, linear: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+        """8-bit codes of one channel; NaN is black, light above the range white."""
+        shown = np.clip(np.asarray(self.curve.encode(_in_range(linear) * self.scale)), 0.0, 1.0)
         return np.round(np.nan_to_num(shown) * 255).astype(np.uint8)
 
 
@@ -58,7 +60,9 @@ def display_of(photo: Float[np.ndarray, "h w 3"], curve: ToneCurve) -> Display:
         described = curve.describe()
         name = "sRGB" if described == "srgb" else f"1 − exp(−exposure · light), {described}"
         return Display(curve, 1.0, f"tone curve {name}")
-    finite = photo[np.isfinite(photo)]
+    # Every so many pixels tell as much: a million of them.
+    some = photo[:: max(1, photo.shape[0] // 1000), :: max(1, photo.shape[1] // 1000)]
+    finite = some[np.isfinite(some)]
     # A few glints may clip; the highest of the other 99.9 % becomes white.
     top = float(np.percentile(finite, 99.9)) if finite.size else 1.0
     if top <= 0 or 0.1 <= top <= 1:
@@ -70,18 +74,20 @@ def display_of(photo: Float[np.ndarray, "h w 3"], curve: ToneCurve) -> Display:
 def picture(linear: Float[np.ndarray, "h w 3"], display: Display, budget: int) -> str:
     """A picture as PNG, averaged over areas of linear light to at most `MAX_WIDTH` and `budget`
     bytes."""
-    clean = np.nan_to_num(linear, nan=0.0, posinf=1e6, neginf=0.0)
 
     def draw(width: int, height: int) -> Image.Image:
-        return Image.fromarray(display.codes(_shrink(clean, width, height)))
+        planes = [
+            display.codes(_shrink(_in_range(linear[..., k]), width, height)) for k in range(3)
+        ]
+        return Image.fromarray(np.stack(planes, axis=-1))
 
     return _within(draw, linear.shape[1], linear.shape[0], MAX_WIDTH, budget)
 
 
-def residual_limit(residual: Float[np.ndarray, "h w *c"], used: Bool[np.ndarray, "h w"]) -> float:
-    """End of the colour scale: 99 % of the used residuals lie within ± it, rounded up to two
-    digits; 0 when there is nothing to show."""
-    sizes = np.abs(residual[used])
+def residual_limit(residual: Float[np.ndarray, "n *c"]) -> float:
+    """End of the colour scale: 99 % of the numbers lie within ± it, rounded up to two digits; 0
+    when there is nothing to show."""
+    sizes = np.abs(residual)
     sizes = sizes[np.isfinite(sizes)]
     limit = float(np.percentile(sizes, 99)) if sizes.size else 0.0
     if limit <= 0:
@@ -90,39 +96,32 @@ def residual_limit(residual: Float[np.ndarray, "h w *c"], used: Bool[np.ndarray,
     return float(f"{math.ceil(limit / step) * step:.2g}")
 
 
-def residual_picture(
-    residual: Float[np.ndarray, "h w"],
+def signed_picture(
+    value: Float[np.ndarray, "h w"],
     used: Bool[np.ndarray, "h w"],
     limit: float,
     budget: int,
     max_width: int = MAX_WIDTH,
+    colors: str = RESIDUAL,
 ) -> str:
-    """Signed residual in blue (below 0), white and red; pixels that were not used are hatched.
+    """A signed map, from -limit to limit, white at 0; pixels that were not used are hatched.
 
     A shrunk pixel shows the mean of the used ones in it, so that a thin ring stays visible.
     """
-    told = used & np.isfinite(residual)
-    weight = told.astype(np.float32)
-    value = np.where(told, residual, 0.0).astype(np.float32)
     span = limit if limit > 0 else 1.0
-
-    def draw(width: int, height: int) -> Image.Image:
-        share = _shrink(weight, width, height)
-        mean = _shrink(value, width, height) / np.where(share > 0, share, 1.0)
-        level = np.clip((mean / span + 1) / 2, 0, 1) * (_LEVELS - 1)
-        rows, columns = np.indices(share.shape)
-        stripe = (rows + columns) // max(2, width // 150) % 2
-        index = np.where(share > 1e-6, np.round(level), _LEVELS + stripe).astype(np.uint8)
-        image = Image.fromarray(index)
-        image.putpalette([*_palette().ravel().tolist(), *_HATCH[0], *_HATCH[1]])
-        return image
-
-    return _within(draw, residual.shape[1], residual.shape[0], max_width, budget)
+    return _map(value, used, (-span, span), budget, max_width, colors)
 
 
-def color_stops() -> str:
-    """The residual's colours as stops of a CSS gradient, from -limit to +limit."""
-    picked = _palette()[:: (_LEVELS - 1) // 10]
+def weight_picture(
+    weight: Float[np.ndarray, "h w"], used: Bool[np.ndarray, "h w"], budget: int
+) -> str:
+    """A map from 0 (dark) to 1 (bright), as `signed_picture` otherwise."""
+    return _map(weight, used, (0.0, 1.0), budget, MAX_WIDTH, WEIGHT)
+
+
+def color_stops(colors: str = RESIDUAL) -> str:
+    """A map's colours as stops of a CSS gradient, from its lowest to its highest."""
+    picked = _palette(colors)[:: (_LEVELS - 1) // 10]
     return ", ".join("#" + bytes(color).hex() for color in picked.tolist())
 
 
@@ -162,11 +161,11 @@ def zoom_window(model: Float[np.ndarray, "h w 3"], used: Bool[np.ndarray, "h w"]
         return None
     # Sums over blocks of the window's sixth, then over all windows of 6×6 blocks.
     block = rows // 6
-    light = np.where(used, model.mean(axis=-1, dtype=np.float64), 0.0)
-    light = np.nan_to_num(light, nan=0.0, posinf=0.0, neginf=0.0)
-    count, first, second = (
-        _window_sums(values, block, 6, 8) for values in (used.astype(np.float64), light, light**2)
-    )
+    light = model.mean(axis=-1, dtype=np.float32)
+    light[~used] = 0
+    np.nan_to_num(light, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    count, first = _window_sums(used, block, 6, 8), _window_sums(light, block, 6, 8)
+    second = _window_sums(np.square(light, out=light), block, 6, 8)
     spread = second - first**2 / np.maximum(count, 1)
     top, left = np.unravel_index(int(np.argmax(spread)), spread.shape)
     return Window(
@@ -205,6 +204,25 @@ def profiles(
 def profile_pictures(found: list[Profile], theme: str) -> list[tuple[str, str]]:
     """One chart a channel, (name, PNG address): photo as dots with its spread, model as line."""
     return [(name, _profile_chart(found, k, theme)) for k, (name, _) in enumerate(_CHANNELS)]
+
+
+def history_picture(history: Sequence[float], theme: str) -> str:
+    """Square sum after each step, on a logarithmic axis."""
+    ink = _INK[theme]
+    figure = Figure(figsize=(6.2, 2.9), dpi=180, layout="constrained")
+    figure.patch.set_alpha(0)
+    axes = figure.subplots()
+    axes.plot(range(len(history)), history, "o-", color=_CURVE, markersize=4, linewidth=1.6)
+    axes.set_yscale("log")
+    # A start that was the end already is a flat line, not its rounding enlarged.
+    if max(history) < 2 * min(history):
+        axes.set_ylim(min(history) / 2, max(history) * 2)
+    axes.set_xlabel("step", fontsize=9, color=ink)
+    axes.set_ylabel("square sum", fontsize=9, color=ink)
+    _style(axes, ink)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.tick_params(which="minor", colors=ink, labelsize=8.5, length=2)
+    return _figure_png(figure)
 
 
 def _profile(
@@ -272,7 +290,8 @@ def _style(axes: Axes, ink: str) -> None:
     axes.spines[["left", "bottom"]].set_color(ink)
     axes.spines[["left", "bottom"]].set_alpha(0.5)
     axes.tick_params(colors=ink, labelsize=8.5, length=3)
-    axes.locator_params(axis="y", nbins=5 if axes.get_ylabel() == "linear light" else 3)
+    if axes.get_yscale() == "linear":
+        axes.locator_params(axis="y", nbins=5 if axes.get_ylabel() == "linear light" else 3)
 
 
 def _figure_png(figure: Figure) -> str:
@@ -283,27 +302,52 @@ def _figure_png(figure: Figure) -> str:
     return _address(image.quantize(128, method=Image.Quantize.FASTOCTREE))
 
 
-def _palette() -> UInt8[np.ndarray, "levels 3"]:
-    rgb = colormaps[_COLORMAP](np.linspace(0, 1, _LEVELS))[:, :3]
+def _map(
+    value: Float[np.ndarray, "h w"],
+    used: Bool[np.ndarray, "h w"],
+    span: tuple[float, float],
+    budget: int,
+    max_width: int,
+    colors: str,
+) -> str:
+    """A picture in a palette of colours, hatched where nothing was used."""
+    told = used & np.isfinite(value)
+    shown = np.where(told, value, np.float32(0))
+    low, high = span
+
+    def draw(width: int, height: int) -> Image.Image:
+        share = _shrink(told, width, height)
+        mean = _shrink(shown, width, height) / np.where(share > 0, share, 1.0)
+        level = np.clip((mean - low) / (high - low), 0, 1) * (_LEVELS - 1)
+        rows, columns = np.indices(share.shape)
+        stripe = (rows + columns) // max(2, width // 150) % 2
+        index = np.where(share > 1e-6, np.round(level), _LEVELS + stripe).astype(np.uint8)
+        image = Image.fromarray(index)
+        image.putpalette([*_palette(colors).ravel().tolist(), *_HATCH[0], *_HATCH[1]])
+        return image
+
+    return _within(draw, value.shape[1], value.shape[0], max_width, budget)
+
+
+def _in_range(light: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Light without NaN and Inf: 1e6 is white through every curve, and safe from overflow."""
+    known = np.nan_to_num(light, nan=0.0, posinf=1e6, neginf=0.0)
+    return np.clip(known, 0.0, 1e6, out=known)
+
+
+def _palette(colors: str) -> UInt8[np.ndarray, "levels 3"]:
+    rgb = colormaps[colors](np.linspace(0, 1, _LEVELS))[:, :3]
     return np.round(rgb * 255).astype(np.uint8)
 
 
 def _shrink(
-    image: Float[np.ndarray, "h w *c"], width: int, height: int
-) -> Float[np.ndarray, "h2 w2 *c"]:
-    """Area means of each channel; the image itself when it has that size."""
-    if image.shape[:2] == (height, width):
-        return image
-    planes = image[..., None] if image.ndim == 2 else image
-    means = [
-        np.asarray(
-            Image.fromarray(np.ascontiguousarray(planes[..., k], dtype=np.float32)).resize(
-                (width, height), Image.Resampling.BOX
-            )
-        )
-        for k in range(planes.shape[2])
-    ]
-    return means[0] if image.ndim == 2 else np.stack(means, axis=-1)
+    plane: Float[np.ndarray, "h w"] | Bool[np.ndarray, "h w"], width: int, height: int
+) -> Float[np.ndarray, "h2 w2"]:
+    """Area means; the plane itself, as floats, when it has that size."""
+    plane = np.ascontiguousarray(plane, dtype=np.float32)
+    if plane.shape == (height, width):
+        return plane
+    return np.asarray(Image.fromarray(plane).resize((width, height), Image.Resampling.BOX))
 
 
 def _within(
@@ -323,13 +367,14 @@ def _within(
 
 
 def _window_sums(
-    values: Float[np.ndarray, "h w"], block: int, rows: int, columns: int
+    values: Float[np.ndarray, "h w"] | Bool[np.ndarray, "h w"], block: int, rows: int, columns: int
 ) -> Float[np.ndarray, "a b"]:
     """Sums over all windows of rows × columns blocks that begin at a block."""
     height, width = (side // block * block for side in values.shape)
     blocks = values[:height, :width].reshape(height // block, block, width // block, block)
     total = np.zeros((height // block + 1, width // block + 1))
-    total[1:, 1:] = blocks.sum(axis=(1, 3)).cumsum(axis=0).cumsum(axis=1)
+    sums = blocks.sum(axis=(1, 3), dtype=np.float64)
+    total[1:, 1:] = sums.cumsum(axis=0).cumsum(axis=1)
     below, right = total[rows:], total[:-rows]
     return below[:, columns:] - below[:, :-columns] - right[:, columns:] + right[:, :-columns]
 

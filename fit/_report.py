@@ -2,21 +2,38 @@
 
 The page asks for nothing from outside: pictures are data addresses, there is no script, and a
 content security policy holds it to that. Pictures come from `_pictures`, the page's text from
-`templates/report.html`; here numbers become words.
+`templates/report.html`, numbers become words in `_wording`. Each photo's part is made on its own
+(`photo_section`), so that the arrays of one photo at a time are held.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from model_jax import ToneCurve
-from model_jax._shapes import Depth, Mask, Rgb
+from model_jax._shapes import AnyArray, Depth, Mask, Rgb
 
 from . import _pictures as pictures
 from ._result import WELL_EXPLAINED
+from ._wording import (
+    SECOND_OPINIONS,
+    clipped_note,
+    close_pairs,
+    known_before,
+    measured,
+    number,
+    range_of,
+    role_of,
+    share,
+    shown_parameters,
+    span,
+    verdict_sentence,
+)
 
 TONES = {
     "converged": ("good", "Converged"),
@@ -29,41 +46,25 @@ TONES = {
 """Banner colour and heading of each verdict."""
 
 PICTURE_BYTES = 600_000
-"""PNG bytes of each of the three large pictures; with the rest, base64 makes under 4 MB."""
+"""PNG bytes of each of the three large pictures, shared by the photos; with the rest, base64 makes
+under 5 MB."""
 DETAIL_BYTES = 140_000
-"""PNG bytes of each smaller picture."""
+"""PNG bytes of each smaller picture, shared likewise."""
 
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_STEPS = ("render", "reduce", "solve", "report")
+Section = dict[str, Any]
+"""One photo's part of the page, as the template reads it."""
+
+_STEPS = ("render", "reduce", "solve", "errors", "report")
 
 
-def report_html(
-    document: dict[str, Any],
-    photo: Rgb,
-    picture: Rgb,
-    used: Mask,
-    height: Depth | None,
-    tone_curve: ToneCurve,
-    command: str,
-    *,
-    shadowed: Mask | None = None,
-) -> str:
+def report_html(document: dict[str, Any], sections: Sequence[Section], command: str) -> str:
     """The report as HTML text.
 
     Args:
         document: the contents of fit.json; what is missing there is missing here.
-        photo: linear light; NaN and Inf may occur.
-        picture: the fitted composite, linear light.
-        used: pixels that took part in the fit.
-        height: height above the limb of each pixel's line of sight, scene units; NaN where it is
-            not known, None where it is known nowhere.
-        tone_curve: the photo's; photo and picture are shown through it.
+        sections: by `photo_section`, one for each photo.
         command: what was run, verbatim.
-        shadowed: pixels whose air is mostly in shadow; they get a limb profile of their own.
     """
-    light, model = np.asarray(photo), np.asarray(picture)
-    mask = np.asarray(used)
-    shade = None if shadowed is None else np.asarray(shadowed)
     verdict = str(document.get("verdict"))
     tone, heading = TONES.get(verdict, ("warn", verdict))
     explained = document.get("explained")
@@ -80,50 +81,69 @@ def report_html(
         document=document,
         tone=tone,
         heading=heading,
+        sentence=verdict_sentence(document),
+        warnings=document.get("warnings") or [],
         source=document.get("scene") or document.get("layers") or "—",
         facts=_facts(document),
-        look=_look_at(light, model, mask, tone_curve),
-        profile=_profile(light, model, mask, height, shade),
-        parameters=[_row(name, e) for name, e in (document.get("parameters") or {}).items()],
+        sections=sections,
+        stops=pictures.color_stops(pictures.RESIDUAL),
+        influence_stops=pictures.color_stops(pictures.INFLUENCE),
+        weight_stops=pictures.color_stops(pictures.WEIGHT),
+        parameters=[_row(name, e) for name, e in shown_parameters(document).items()],
+        told=_told(document),
+        errors=_errors(document),
         correlation=_correlation(document.get("correlation")),
+        pairs=[
+            (a, b, f"{c:+.3f}".replace("-", "−"))
+            for a, b, c in close_pairs(document.get("correlation"))
+        ],
+        descent=_descent(document),
         times=_times(document.get("seconds") or {}),
         left_out=document.get("left_out") or [],
         pixels=_pixel_rows(document.get("pixels") or {}),
+        clipped=clipped_note(document.get("pixels") or {}),
         versions=document.get("versions") or {},
         command=command,
     )
 
 
-def measured(value: float | None, stderr: float | None) -> str:
-    """`value ± stderr` with two significant digits of the error: `3.0012 ± 0.0034`."""
-    if value is None or not math.isfinite(value):
-        return "—"
-    if stderr is None or not math.isfinite(stderr) or stderr <= 0:
-        return number(value)
-    decimals = 1 - math.floor(math.log10(stderr))
-    size = max(abs(value), stderr)
-    if 1e-3 <= size < 1e6 and decimals <= 9:
-        shown = max(decimals, 0)
-        pair = round(value, decimals), round(stderr, decimals)
-        return f"{pair[0]:.{shown}f} ± {pair[1]:.{shown}f}".replace("-", "−")
-    exponent = math.floor(math.log10(size))
-    decimals = max(0, exponent + decimals)
-    if decimals > 9:
-        return f"{value:.10g} ± {stderr:.1e}".replace("-", "−")
-    scale = 10.0**exponent
-    pair_text = f"({value / scale:.{decimals}f} ± {stderr / scale:.{decimals}f})"
-    return f"{pair_text} · 10{str(exponent).translate(_SUPERSCRIPTS)}".replace("-", "−")
+def photo_section(
+    name: str,
+    photo: Rgb,
+    picture: Rgb,
+    used: Mask,
+    height: Depth | None,
+    tone_curve: ToneCurve,
+    *,
+    shadowed: Mask | None = None,
+    influence: tuple[str, Float[AnyArray, "h w"]] | None = None,
+    weights: Float[AnyArray, "h w"] | None = None,
+    count: int = 1,
+) -> Section:
+    """One photo's pictures, profile and influence map.
 
-
-def number(value: float | None, digits: int = 4) -> str:
-    """A number for people; `—` for none."""
-    if value is None or not math.isfinite(value):
-        return "—"
-    text = f"{value:.{digits}g}"
-    if "e" in text:
-        mantissa, exponent = text.split("e")
-        text = f"{mantissa} · 10{str(int(exponent)).translate(_SUPERSCRIPTS)}"
-    return text.replace("-", "−")
+    Args:
+        name: the photo's path.
+        photo: linear light; NaN and Inf may occur.
+        picture: what the fitted look makes of it, linear light.
+        used: pixels that took part in the fit.
+        height: height above the limb of each pixel's line of sight, scene units; NaN where it is
+            not known, None where it is known nowhere.
+        tone_curve: the photo's; photo and picture are shown through it.
+        shadowed: pixels whose air is mostly in shadow; they get a limb profile of their own.
+        influence: a parameter, and its derivative by each pixel's light, summed over channels.
+        weights: how much a robust loss believed each pixel; None where the loss is not robust.
+        count: number of photos on the page, which share its size.
+    """
+    light, model, mask = np.asarray(photo), np.asarray(picture), np.asarray(used)
+    shade = None if shadowed is None else np.asarray(shadowed)
+    return {
+        "name": name,
+        "look": _look_at(light, model, mask, tone_curve, count),
+        "profile": _profile(light, model, mask, height, shade),
+        "influence": _influence(influence, mask, shade, count),
+        "weights": _weights(weights, mask, count),
+    }
 
 
 def _facts(document: dict[str, Any]) -> list[tuple[str, str]]:
@@ -132,15 +152,15 @@ def _facts(document: dict[str, Any]) -> list[tuple[str, str]]:
     facts = [("residual rms", number(document.get("residual_rms"), 3))]
     explained = document.get("explained")
     if explained is not None:
-        # Rounded down, as in the message: nothing short of all is 100 %.
-        share = math.floor(explained * 1e4) / 100
-        facts.append(("variance explained", f"{share:.4g} %".replace("-", "−")))
+        facts.append(("variance explained", share(explained)))
     facts.append(("pixels used", _count(pixels.get("used", 0))))
     free = [e for e in (document.get("parameters") or {}).values() if e.get("free")]
     facts.append(("numbers fitted", str(len(free))))
     per_length = document.get("brightness_per_length")
     if per_length is not None:
         facts.append(("brightness per scene unit", number(per_length)))
+    if document.get("loss", "linear") != "linear":
+        facts.append(("robust loss", str(document["loss"]).replace("_", "-")))
     return facts
 
 
@@ -156,14 +176,18 @@ class Panel:
 
 
 def _look_at(
-    photo: np.ndarray, model: np.ndarray, used: np.ndarray, curve: ToneCurve
+    photo: np.ndarray, model: np.ndarray, used: np.ndarray, curve: ToneCurve, count: int
 ) -> dict[str, Any]:
     """Everything the picture sections need."""
     display = pictures.display_of(photo, curve)
+    large, small = PICTURE_BYTES // count, DETAIL_BYTES // count
     with np.errstate(over="ignore", invalid="ignore"):
-        residual = photo.astype(np.float32) - model.astype(np.float32)
-        mean = residual.mean(axis=-1)
-    limit = pictures.residual_limit(mean, used)
+        at_used = photo[used] - model[used]
+        limit = pictures.residual_limit(at_used.mean(axis=-1))
+        channel_limit = pictures.residual_limit(at_used)
+        mean = np.zeros(used.shape, np.float32)
+        mean[used] = at_used.mean(axis=-1)
+    del at_used
     window = pictures.zoom_window(model, used)
     height, width = used.shape
     box = ""
@@ -173,36 +197,32 @@ def _look_at(
             f"left:{100 * window.left / width:.2f}%;top:{100 * window.top / height:.2f}%;"
             f"width:{100 * window.width / width:.2f}%;height:{100 * window.height / height:.2f}%"
         )
-        part, small = window.of, DETAIL_BYTES
+        part = window.of
         zoom = [
             Panel("Photo", pictures.picture(part(photo), display, small), "photo, enlarged"),
             Panel("Model", pictures.picture(part(model), display, small), "model, enlarged"),
             Panel(
                 "Photo − model",
-                pictures.residual_picture(part(mean), part(used), limit, small),
+                pictures.signed_picture(part(mean), part(used), limit, small),
                 "signed residual, enlarged",
             ),
         ]
-    large = PICTURE_BYTES
     main = [
         Panel("Photo", pictures.picture(photo, display, large), "photo", box),
         Panel("Model", pictures.picture(model, display, large), "fitted render", box),
         Panel(
             "Photo − model",
-            pictures.residual_picture(mean, used, limit, large),
+            pictures.signed_picture(mean, used, limit, large),
             "signed residual",
             box,
         ),
     ]
-    channel_limit = pictures.residual_limit(residual, used)
-    channels = [
-        Panel(
-            name,
-            pictures.residual_picture(residual[..., k], used, channel_limit, DETAIL_BYTES, 600),
-            f"signed residual, {name.lower()}",
-        )
-        for k, name in enumerate(("Red", "Green", "Blue"))
-    ]
+    channels = []
+    for k, name in enumerate(("Red", "Green", "Blue")):
+        with np.errstate(over="ignore", invalid="ignore"):
+            residual = photo[..., k] - model[..., k]
+        shown = pictures.signed_picture(residual, used, channel_limit, small, 600)
+        channels.append(Panel(name, shown, f"signed residual, {name.lower()}"))
     return {
         "main": main,
         "zoom": zoom,
@@ -211,10 +231,57 @@ def _look_at(
         "note": display.note,
         "limit": number(limit) if limit else None,
         "channel_limit": number(channel_limit) if channel_limit else None,
-        "stops": pictures.color_stops(),
         "size": f"{width} × {height}",
         "pixelated": width < 400,
         "any_used": bool(used.any()),
+    }
+
+
+def _influence(
+    found: tuple[str, Float[AnyArray, "h w"]] | None,
+    used: np.ndarray,
+    shadowed: np.ndarray | None,
+    count: int,
+) -> dict[str, Any] | None:
+    """Picture of an influence map, and in numbers where the say lies."""
+    if found is None or not used.any():
+        return None
+    name, value = found[0], np.asarray(found[1], np.float32)
+    sizes = np.abs(value[used].astype(np.float64))
+    total = float(sizes.sum())
+    if not 0 < total < math.inf:
+        return None
+    limit = pictures.residual_limit(value[used])
+    few = np.searchsorted(np.cumsum(np.sort(sizes)[::-1]), total / 2) + 1
+    dark = None
+    if shadowed is not None and (used & shadowed).any() and (used & ~shadowed).any():
+        dark = f"{100 * float(sizes[shadowed[used]].sum()) / total:.2g} %"
+    address = pictures.signed_picture(
+        value, used, limit, 2 * DETAIL_BYTES // count, colors=pictures.INFLUENCE
+    )
+    return {
+        "name": name,
+        "panel": Panel("Influence of each pixel", address, f"influence map of {name}"),
+        "limit": number(limit, 2),
+        "few": f"{100 * few / sizes.size:.2g} %",
+        "dark": dark,
+    }
+
+
+def _weights(
+    weights: Float[AnyArray, "h w"] | None, used: np.ndarray, count: int
+) -> dict[str, Any] | None:
+    """Picture of a robust loss's weights."""
+    if weights is None or not used.any():
+        return None
+    value = np.asarray(weights, np.float32)
+    known = value[used & np.isfinite(value)]
+    if not known.size:
+        return None
+    address = pictures.weight_picture(value, used, 2 * DETAIL_BYTES // count)
+    return {
+        "panel": Panel("Belief in each pixel", address, "weights of the robust loss"),
+        "doubted": f"{100 * float((known < 0.5).mean()):.2g} %",
     }
 
 
@@ -255,26 +322,73 @@ def _profile(
 
 def _row(name: str, estimate: dict[str, Any]) -> dict[str, Any]:
     """A row of the parameter table."""
-    stderr, free = estimate.get("stderr"), bool(estimate.get("free"))
-    state = "fitted" if free and stderr is not None else "no error" if free else "held"
+    role = role_of(estimate)
+    stderr = estimate.get("stderr")
+    kind = "fitted" if role == "free" else "no" if role in ("at bound", "held") else ""
     return {
         "name": name,
-        "value": measured(estimate.get("value"), stderr if free else None),
+        "value": measured(estimate.get("value"), stderr),
+        "interval": span(estimate.get("interval")),
         "initial": number(estimate.get("initial")),
-        "bounds": _bounds(estimate.get("bounds")),
+        "prior": known_before(estimate.get("prior")) or "—",
+        "bounds": range_of(estimate.get("bounds")),
         "unit": str(estimate.get("unit") or "").replace("_", " "),
-        "state": state,
+        "meaning": str(estimate.get("meaning") or ""),
+        "role": "fitted" if role == "free" else "not told" if role == "held" else role,
+        "kind": kind,
         "quantisation": number(estimate.get("quantisation_bound"), 2),
     }
 
 
-def _bounds(bounds: Any) -> str:
-    low, high = bounds or (None, None)
-    if low is None and high is None:
-        return "none"
-    if high is None:
-        return f"≥ {number(low)}"
-    return f"≤ {number(high)}" if low is None else f"{number(low)} … {number(high)}"
+def _told(document: dict[str, Any]) -> list[tuple[str, str]]:
+    """What the photo tells and what not: a heading and the names under it."""
+    rows = shown_parameters(document)
+    words = (
+        ("free", "Told"),
+        ("at bound", "At a bound: what fits best lies beyond"),
+        ("held", "Not told: the start value stands"),
+        ("fixed", "Not asked about"),
+    )
+    if document.get("verdict") == "no_data":
+        return []
+    found = [
+        (text, [name for name, row in rows.items() if role_of(row) == role]) for role, text in words
+    ]
+    ties = [f"{name} {role_of(row)}" for name, row in rows.items() if row.get("tied_to")]
+    return [(text, ", ".join(names)) for text, names in [*found, ("Tied", ties)] if names]
+
+
+def _errors(document: dict[str, Any]) -> dict[str, Any] | None:
+    """What the standard errors rest on, in words."""
+    errors = document.get("errors")
+    if not errors:
+        return None
+    pixels = document.get("pixels") or {}
+    samples = 3 * pixels.get("used", 0) - (pixels.get("clipped_samples") or 0)
+    length = errors.get("correlation_px") or 1
+    return {
+        "noise": number(errors.get("noise"), 3),
+        "length": f"{number(length, 3)} px",
+        "correlated": length > 1,
+        "block": f"{errors.get('block_px')} px",
+        "blocks": _count(errors.get("blocks") or 0),
+        "samples": _count(samples),
+        "effective": _count(round(errors.get("effective_samples") or 0)),
+    }
+
+
+def _descent(document: dict[str, Any]) -> dict[str, Any]:
+    """The curve of the square sum, and what the checks at its end said."""
+    history = [h for h in document.get("history") or [] if h is not None and h > 0]
+    second = document.get("second_opinion")
+    words = SECOND_OPINIONS.get(second, "") if second is not None and history else ""
+    return {
+        "solver": document.get("solver") or "—",
+        "steps": max(0, len(history) - 1),
+        "light": pictures.history_picture(history, "light") if len(history) > 1 else None,
+        "dark": pictures.history_picture(history, "dark") if len(history) > 1 else None,
+        "check": f"{words[0].upper()}{words[1:]}." if words else "",
+    }
 
 
 def _correlation(correlation: dict[str, Any] | None) -> dict[str, Any] | None:
@@ -312,7 +426,7 @@ def _times(seconds: dict[str, float | None]) -> dict[str, Any] | None:
             "share": round(100 * known[name] / total, 2),
             "percent": f"{100 * known[name] / total:.0f} %",
             "text": _duration(known[name]),
-            "color": k % 4,
+            "color": k % 5,
         }
         for k, name in enumerate(names)
     ]

@@ -1,49 +1,89 @@
 """What the commands print for people: the fit and the check as tables."""
 
+import io
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from ._result import WELL_EXPLAINED
+from ._wording import (
+    SECOND_OPINIONS,
+    clipped_note,
+    close_pairs,
+    curve_in_words,
+    known_before,
+    measured,
+    number,
+    role_of,
+    share,
+    shown_parameters,
+    span,
+    verdict_sentence,
+)
+
+_DISPENSABLE = ("unit", "rounding ≤", "start", "prior")
+"""Columns that a narrow terminal goes without, in this order; the report has them all."""
 
 
-def print_fit(console: Console, document: dict[str, Any], out: str) -> None:
-    """The result of a fit from its fit.json document."""
+def print_fit(console: Console, document: dict[str, Any], out: str | None) -> None:
+    """The result of a fit from its fit.json document; `out` is the folder to point at."""
     explained = document.get("explained")
     doubtful = explained is not None and explained < WELL_EXPLAINED
     style = {"converged": "yellow" if doubtful else "green", "at_bound": "yellow"}.get(
         document["verdict"], "red"
     )
-    console.print(document["verdict"], style=f"bold {style}", end="  ")
-    console.print(document["message"], markup=False, highlight=False)
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("parameter", "value", "± stderr", "rounding ≤", "start", "unit"):
-        table.add_column(name, justify="left" if name in ("parameter", "unit") else "right")
-    for name, row in document["parameters"].items():
-        stderr = _number(row["stderr"]) if row["stderr"] is not None else "held"
-        bound = row.get("quantisation_bound")
-        table.add_row(
-            name,
-            _number(row["value"]),
-            stderr,
-            "" if bound is None else _number(bound),
-            _number(row["initial"]),
-            row["unit"],
-        )
-    console.print(table)
-    pixels = document["pixels"]
-    facts = f"{pixels['used']:,} of {pixels['total']:,} pixels"
-    if document["residual_rms"] is not None:
-        facts += f", residual rms {_number(document['residual_rms'])} in linear light"
-    console.print(f"{facts}, tone curve {document['tone_curve']}", highlight=False)
+    verdict = Text(document["verdict"], style=f"bold {style}")
+    console.print(verdict.append(f"  {verdict_sentence(document)}", style="not bold default"))
+    for warning in document.get("warnings") or []:
+        _say(console, f"warning: {warning}", "yellow")
+    console.print(_parameters(document, console.width))
+    for first, second, correlation in close_pairs(document.get("correlation")):
+        size = f"correlation {correlation:+.3f}".replace("-", "−")
+        _say(console, f"{first} and {second} are hard to tell apart: {size}")
     for item in document["left_out"]:
-        console.print(f"left out: {item['what']}, because {item['why']}", markup=False)
+        _say(console, f"left out: {item['what']}, because {item['why']}")
+    for line in (*_photo_lines(document), _error_line(document), _solver_line(document)):
+        if line:
+            _say(console, line)
     seconds = ", ".join(f"{name} {value:.2f} s" for name, value in document["seconds"].items())
-    console.print(seconds, style="dim", highlight=False)
-    report = str(Path(out) / "report.html")
-    console.print(report, markup=False, highlight=False, soft_wrap=True)
+    if seconds:
+        _say(console, seconds, "dim")
+    if out is not None:
+        report = str(Path(out) / "report.html")
+        console.print(report, markup=False, highlight=False, soft_wrap=True)
+
+
+def fit_text(document: dict[str, Any], width: int = 100) -> str:
+    """The same as plain text."""
+    stream = io.StringIO()
+    print_fit(Console(file=stream, width=width, color_system=None), document, None)
+    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
+
+
+def print_bench(console: Console, document: dict[str, Any], out: str) -> None:
+    """The rows of a benchmark."""
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for name in ("what", "pixels of air", "median", "from … to", "error", ""):
+        table.add_column(name, justify="left" if name in ("what", "") else "right")
+    for row in document["rows"]:
+        times = [row[key] for key in ("median", "low", "high")]
+        median, low, high = ("" if t is None else f"{1e3 * t:,.1f}" for t in times)
+        table.add_row(
+            row["name"],
+            f"{row['pixels']:,}" if row["pixels"] else "",
+            median and f"{median} ms",
+            low and f"{low} … {high}",
+            "" if row["error"] is None else number(row["error"], 2),
+            row["note"],
+        )
+    console.print(table, markup=False, highlight=False)
+    machine = ", ".join(f"{name} {value}" for name, value in document["machine"].items())
+    console.print(machine, style="dim", markup=False, highlight=False)
+    console.print(f"{out}/fit-bench.csv, fit-bench.json", markup=False, highlight=False)
 
 
 def print_check(
@@ -98,6 +138,84 @@ def print_check(
     )
     files = f"{folder}/glsl.exr, jax.exr, difference.exr"
     console.print(files, markup=False, highlight=False, soft_wrap=True)
+
+
+def _parameters(document: dict[str, Any], width: int) -> Table:
+    """A row for each parameter; without columns that nobody fills, or that there is no room for."""
+    rows = shown_parameters(document)
+    columns: dict[str, list[str]] = {
+        "parameter": list(rows),
+        "value ± stderr": [measured(row["value"], row["stderr"]) for row in rows.values()],
+        "95 % interval": [_or_blank(span(row["interval"])) for row in rows.values()],
+        "rounding ≤": [_or_blank(number(row["quantisation_bound"], 2)) for row in rows.values()],
+        "start": [number(row["initial"]) for row in rows.values()],
+        "role": [role_of(row) for row in rows.values()],
+        "prior": [known_before(row["prior"]) for row in rows.values()],
+        "unit": [row["unit"] for row in rows.values()],
+    }
+    columns = {name: texts for name, texts in columns.items() if any(texts)}
+    for name in _DISPENSABLE:
+        needed = sum(2 + max(map(len, [title, *texts])) for title, texts in columns.items())
+        if needed - 2 > width:
+            columns.pop(name, None)
+    table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="dim")
+    for name in columns:
+        right = name in ("rounding ≤", "start")
+        table.add_column(name, justify="right" if right else "left", overflow="fold")
+    for row in zip(*columns.values(), strict=True):
+        table.add_row(*(Text(cell) for cell in row))
+    return table
+
+
+def _photo_lines(document: dict[str, Any]) -> Iterator[str]:
+    """How many pixels of each photo were used and how well they are explained."""
+    photos = document.get("photos") or [document]
+    for index, photo in enumerate(photos):
+        pixels = photo["pixels"]
+        line = f"photo {index + 1}: " if len(photos) > 1 else ""
+        line += f"{pixels['used']:,} of {pixels['total']:,} pixels"
+        if photo["residual_rms"] is not None:
+            line += f", residual rms {number(photo['residual_rms'])} in linear light"
+        if len(photos) > 1 and photo["explained"] is not None:
+            line += f", {share(photo['explained'])} explained"
+        if "tone_curve" in photo:
+            line += f", {curve_in_words(photo['tone_curve'])}"
+        yield line
+        if clipped := clipped_note(pixels):
+            yield clipped
+
+
+def _error_line(document: dict[str, Any]) -> str:
+    errors = document.get("errors")
+    if not errors:
+        return ""
+    length = errors["correlation_px"]
+    over = f"correlated over {number(length, 3)} px" if length > 1 else "independent of each other"
+    return (
+        f"residuals: noise {number(errors['noise'], 3)}, {over}, worth "
+        f"{errors['effective_samples']:,.0f} independent samples; "
+        f"{errors['blocks']:,} blocks of {errors['block_px']} px"
+    )
+
+
+def _solver_line(document: dict[str, Any]) -> str:
+    history = document.get("history") or []
+    if not history:
+        return ""
+    loss = document["loss"]
+    robust = f", {loss} loss" if loss != "linear" else ""
+    steps = "1 step" if len(history) == 2 else f"{len(history) - 1} steps"
+    opinion = SECOND_OPINIONS.get(document.get("second_opinion") or "", "")
+    return f"{document['solver']}, {steps}{robust}" + (f"; {opinion}" if opinion else "")
+
+
+def _say(console: Console, text: str, style: str | None = None) -> None:
+    """Text as it is: brackets and numbers in it mean nothing to rich."""
+    console.print(text, style=style, markup=False, highlight=False)
+
+
+def _or_blank(text: str) -> str:
+    return "" if text == "—" else text
 
 
 def _verdict(console: Console, passed: bool, text: str) -> None:

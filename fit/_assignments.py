@@ -1,0 +1,95 @@
+"""The command line's `NAME=…` options: one assignment to an option, given again for the next.
+
+    --start shadow=0.3   --bounds shadow=:1   --prior gamma=1:0.05   --tie gamma.2=gamma.1
+
+Only their form is checked here; what the names mean and which values are possible is `declare`'s.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from model_jax import InputError
+
+T = TypeVar("T")
+
+
+def starts(texts: Sequence[str]) -> dict[str, float]:
+    """NAME=VALUE: finite start values."""
+    return _each("--start", "NAME=VALUE, such as shadow=0.3", texts, _finite)
+
+
+def bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """NAME=LOW:HIGH; an end left out is open."""
+
+    def limits(text: str) -> tuple[float, float]:
+        low, high = _two(text)
+        return (
+            _not_nan(low) if low else -math.inf,
+            _not_nan(high) if high else math.inf,
+        )
+
+    return _each("--bounds", "NAME=LOW:HIGH, such as shadow=0:1 or shadow=:1", texts, limits)
+
+
+def priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """NAME=MEAN:SIGMA of a normal distribution."""
+
+    def normal(text: str) -> tuple[float, float]:
+        mean, sigma = _two(text)
+        return _finite(mean), _finite(sigma)
+
+    return _each("--prior", "NAME=MEAN:SIGMA, such as gamma=1:0.05", texts, normal)
+
+
+def ties(texts: Sequence[str]) -> dict[str, str]:
+    """NAME=OTHER: the name that it equals."""
+    return _each("--tie", "NAME=OTHER, such as gamma.2=gamma.1", texts, _name)
+
+
+def names(text: str | None) -> tuple[str, ...] | None:
+    """Comma-separated names; None stays None."""
+    return None if text is None else tuple(name.strip() for name in text.split(","))
+
+
+def _each(option: str, form: str, texts: Sequence[str], read: Callable[[str], T]) -> dict[str, T]:
+    found: dict[str, T] = {}
+    for text in texts:
+        name, equals, rest = (part.strip() for part in text.partition("="))
+        try:
+            if not (name and equals):
+                raise ValueError
+            value = read(rest)
+        except ValueError:
+            raise InputError(f"{option} {text}: must be {form}, with finite numbers") from None
+        if name in found:
+            raise InputError(f"{option} {text}: {name} is given twice; leave one of them away")
+        found[name] = value
+    return found
+
+
+def _two(text: str) -> tuple[str, str]:
+    first, colon, second = (part.strip() for part in text.partition(":"))
+    if not colon:
+        raise ValueError
+    return first, second
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError
+    return value
+
+
+def _not_nan(text: str) -> float:
+    value = float(text)
+    if math.isnan(value):
+        raise ValueError
+    return value
+
+
+def _name(text: str) -> str:
+    if not text:
+        raise ValueError
+    return text

@@ -1,0 +1,150 @@
+"""Numbers and roles as words: what the terminal and the report say alike.
+
+All work on the document of `FitResult.to_dict()`, that is on what fit.json holds, so that a report
+can be made again from a file.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from model_jax import RESPONSE_PARAMETERS
+
+CLOSE = 0.9
+"""Correlation from which two numbers are named as hard to tell apart: one direction in their plane
+is then more than four times as uncertain as the other, √((1 + 0.9) / (1 - 0.9))."""
+
+SECOND_OPINIONS = {
+    "": "the model is linear in what was fitted, so its best fit is known in closed form",
+    "same": "a second descent, by another method from another start, ended at the same place",
+    "higher": "a second descent, by another method from another start, ended higher up",
+    "lower": "a second descent, by another method from another start, ended lower",
+}
+"""What each value of `FitResult.second_opinion` means."""
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def shown_parameters(document: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The parameters worth a line: not those of a response that are fixed and change nothing."""
+    return {
+        name: row
+        for name, row in (document.get("parameters") or {}).items()
+        if not _changes_nothing(name, row)
+    }
+
+
+def role_of(row: Mapping[str, Any]) -> str:
+    """ "free", "at bound", "held", "fixed", or "= name" for a tied parameter."""
+    if row.get("tied_to"):
+        return f"= {row['tied_to']}"
+    return str(row.get("role", "fixed")).replace("_", " ")
+
+
+def verdict_sentence(document: Mapping[str, Any]) -> str:
+    """The message without the warnings, which are listed on their own."""
+    warnings = " ".join(document.get("warnings") or ())
+    return str(document.get("message") or "").removesuffix(warnings).strip()
+
+
+def close_pairs(correlation: Mapping[str, Any] | None) -> list[tuple[str, str, float]]:
+    """Pairs of parameters whose correlation is at least `CLOSE`, the closest first."""
+    if not correlation:
+        return []
+    names, matrix = correlation["names"], correlation["matrix"]
+    pairs = [
+        (names[i], names[j], matrix[i][j])
+        for i in range(len(names))
+        for j in range(i)
+        if matrix[i][j] is not None and abs(matrix[i][j]) >= CLOSE
+    ]
+    return [(b, a, c) for a, b, c in sorted(pairs, key=lambda pair: -abs(pair[2]))]
+
+
+def measured(value: float | None, stderr: float | None) -> str:
+    """`value ± stderr` with two significant digits of the error: `3.0012 ± 0.0034`."""
+    if value is None or not math.isfinite(value):
+        return "—"
+    if stderr is None or not math.isfinite(stderr) or stderr <= 0:
+        return number(value)
+    decimals = 1 - math.floor(math.log10(stderr))
+    size = max(abs(value), stderr)
+    if 1e-3 <= size < 1e6 and decimals <= 9:
+        shown = max(decimals, 0)
+        pair = round(value, decimals), round(stderr, decimals)
+        return f"{pair[0]:.{shown}f} ± {pair[1]:.{shown}f}".replace("-", "−")
+    exponent = math.floor(math.log10(size))
+    decimals = max(0, exponent + decimals)
+    if decimals > 9:
+        return f"{value:.10g} ± {stderr:.1e}".replace("-", "−")
+    scale = 10.0**exponent
+    pair_text = f"({value / scale:.{decimals}f} ± {stderr / scale:.{decimals}f})"
+    return f"{pair_text} · 10{str(exponent).translate(_SUPERSCRIPTS)}".replace("-", "−")
+
+
+def span(limits: Sequence[float | None] | None) -> str:
+    """`3.0012 … 3.0145`: an interval, to two significant digits of half its width; `—` for none."""
+    if not limits or any(limit is None or not math.isfinite(limit) for limit in limits):
+        return "—"
+    low, high = (float(limit) for limit in limits if limit is not None)
+    if not low < high:
+        return number(low)
+    decimals = 1 - math.floor(math.log10((high - low) / 2))
+    if 1e-3 <= max(abs(low), abs(high)) < 1e6 and decimals <= 9:
+        shown = max(decimals, 0)
+        texts = [f"{round(limit, decimals):.{shown}f}" for limit in (low, high)]
+        return f"{texts[0]} … {texts[1]}".replace("-", "−")
+    digits = 1 + decimals + math.floor(math.log10(max(abs(low), abs(high))))
+    return f"{number(low, digits)} … {number(high, digits)}"
+
+
+def known_before(prior: Sequence[float | None] | None) -> str:
+    """A prior as `mean ± sigma`; empty without one."""
+    return "" if not prior else f"{number(prior[0])} ± {number(prior[1], 2)}"
+
+
+def range_of(bounds: Sequence[float | None] | None) -> str:
+    """Bounds in words; an open end is None."""
+    low, high = bounds or (None, None)
+    if low is None and high is None:
+        return "none"
+    if high is None:
+        return f"≥ {number(low)}"
+    return f"≤ {number(high)}" if low is None else f"{number(low)} … {number(high)}"
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number for people; `—` for none."""
+    if value is None or not math.isfinite(value):
+        return "—"
+    text = f"{value:.{digits}g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        text = f"{mantissa} · 10{str(int(exponent)).translate(_SUPERSCRIPTS)}"
+    return text.replace("-", "−")
+
+
+def share(part: float | None) -> str:
+    """A share in percent, rounded down: nothing short of all is 100 %."""
+    if part is None or not math.isfinite(part):
+        return "—"
+    return f"{math.floor(part * 1e4) / 100:.4g} %".replace("-", "−")
+
+
+def curve_in_words(described: str | Mapping[str, float]) -> str:
+    """A tone curve as fit.json has it, in words."""
+    if isinstance(described, str):
+        return f"tone curve {described}"
+    numbers = ", ".join(f"{name} {number(value)}" for name, value in described.items())
+    return f"tone curve 1 − exp(−exposure · light), {numbers}"
+
+
+def clipped_note(pixels: Mapping[str, Any]) -> str:
+    """How many samples tell a bound only; empty where none does."""
+    clipped = pixels.get("clipped_samples") or 0
+    return f"{clipped:,} samples clipped: at least this bright, or at most" if clipped else ""
+
+
+def _changes_nothing(name: str, row: Mapping[str, Any]) -> bool:
+    about = RESPONSE_PARAMETERS.get(name.partition(".")[0])
+    return about is not None and row.get("role") == "fixed" and row.get("value") == about.default
