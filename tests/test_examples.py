@@ -33,7 +33,7 @@ def example(name: str) -> ModuleType:
 
 
 def run(scene: str, photo: Path, out: Path) -> dict:
-    _, document = run_job(Job(photo=str(photo), scene=str(EXAMPLES / scene)), str(out))
+    _, document = run_job(Job(photos=(str(photo),), scenes=(str(EXAMPLES / scene),)), str(out))
     assert json.loads((out / "fit.json").read_text())["verdict"] == document["verdict"]
     return document
 

@@ -35,7 +35,7 @@ def test_the_python_snippet_runs() -> None:
     assert "The fit converged" in done.stdout
 
 
-@pytest.mark.parametrize("command", ["render", "fit", "check", "version"])
+@pytest.mark.parametrize("command", ["render", "fit", "export", "check", "bench", "version"])
 def test_every_command_is_shown(command: str) -> None:
     assert any(f"airlight {command}" in block for block in blocks("sh"))
 

@@ -70,7 +70,7 @@ def test_render_writes_layers_and_picture_in_one_file(here: Path) -> None:
 def test_fit_recovers_the_rendered_look_and_writes_everything(here, source, capsys) -> None:
     assert airlight("fit", "scene.toml", "photo.png", "-o", "out", "--source", source) == 0
     document = json.loads(Path("out/fit.json").read_text())
-    assert document["schema"] == 1
+    assert document["schema"] == 2
     assert document["verdict"] == "converged"
     for name, truth in (("brightness", 3.0), ("shadow", 0.2)):
         found = document["parameters"][name]
@@ -80,7 +80,7 @@ def test_fit_recovers_the_rendered_look_and_writes_everything(here, source, caps
     keys = {"schema", "scene", "photo", "verdict", "message", "parameters", "correlation"}
     keys |= {"residual_rms", "pixels", "left_out", "seconds", "versions"}
     assert keys <= set(document)
-    assert set(document["seconds"]) == {"render", "reduce", "solve", "report"}
+    assert set(document["seconds"]) == {"render", "reduce", "solve", "errors", "report"}
     assert {path.name for path in Path("out").iterdir()} == set(_job.FILES)
     residual, _ = render_gl.read_channels("out/residual.exr")
     used = residual["used.Y"] == 1
@@ -94,6 +94,73 @@ def test_fit_from_somebodys_layers(here: Path) -> None:
     assert airlight("fit", "--layers", "layers.exr", "photo.png", "-o", "out", "--json") == 0
     document = json.loads(Path("out/fit.json").read_text())
     assert document["parameters"]["shadow"]["value"] == pytest.approx(0.2, abs=0.002)
+
+
+def test_several_photos_share_a_look(here: Path, capsys) -> None:
+    """The second is darker by half, on a scene with other clip planes, seen from elsewhere."""
+    far = SCENE.replace("far = 30000.0", "far = 36000.0").replace(
+        "0.0, -20000.0", "9000.0, -18000.0"
+    )
+    Path("second.toml").write_text(far)
+    for scene, photo, exposure, level in (
+        ("scene.toml", "first.exr", 1.0, 0.01),
+        ("second.toml", "second.exr", 0.5 * 24000 / 18000, 0.02),
+    ):
+        # Brightness over another width unit: the same air, in the second photo at half exposure.
+        assert airlight("render", scene, "-o", photo, "--depth", "linear") == 0
+        channels, _ = render_gl.read_channels(photo)
+        pixels = {name: exposure * channels[name] + level for name in "RGB"}
+        render_gl.write_channels(photo, pixels, {})
+    options = ("--free", "brightness,shadow,black_level,exposure.2", "--start", "exposure.2=0.7")
+    words = ("scene.toml", "first.exr", "second.toml", "second.exr", "-o", "out", *options)
+    assert airlight("fit", *words) == 0
+    document = json.loads(Path("out/fit.json").read_text())
+    values = {name: row["value"] for name, row in document["parameters"].items()}
+    truth = {"brightness": 3.0, "shadow": 0.2, "exposure.2": 0.5}
+    truth |= {"black_level.1": 0.01, "black_level.2": 0.02}
+    for name, value in truth.items():
+        assert values[name] == pytest.approx(value, rel=1e-4), name
+    assert document["parameters"]["exposure.2"]["initial"] == 0.7
+    assert [photo["photo"] for photo in document["photos"]] == ["first.exr", "second.exr"]
+    kinds = ("image", "residual", "layers", "influence")
+    expected = {f"{kind}-{number}.exr" for kind in kinds for number in (1, 2)}
+    assert {path.name for path in Path("out").iterdir()} == expected | {"fit.json", "report.html"}
+    for number in (1, 2):
+        residual, _ = render_gl.read_channels(f"out/residual-{number}.exr")
+        # Rounding of float32 light, at most 1, in the photo and in the picture.
+        assert max(np.abs(residual[c]).max() for c in "RGB") < 1e-5
+    printed = capsys.readouterr().out
+    assert "photo 2: " in printed
+
+
+def test_options_reach_the_fit(here: Path) -> None:
+    words = ("--free", "brightness,shadow", "--start", "tint.r=1.1", "--start", "tint.b=0.9")
+    words += ("--bounds", "shadow=0.1:", "--prior", "brightness=3:0.5", "--loss", "huber")
+    words += ("--solver", "dogleg", "--max-steps", "99")
+    assert airlight("fit", "scene.toml", "photo.png", "-o", "out", *words) == 0
+    document = json.loads(Path("out/fit.json").read_text())
+    assert (document["loss"], document["solver"]) == ("huber", "dogleg")
+    rows = document["parameters"]
+    assert [name for name, row in rows.items() if row["role"] == "free"] == ["brightness", "shadow"]
+    assert rows["shadow"]["bounds"] == [0.1, None]
+    assert rows["brightness"]["prior"] == [3.0, 0.5]
+    assert (rows["tint.r"]["value"], rows["tint.b"]["value"]) == (1.1, 0.9)
+    assert "Belief in each pixel" in Path("out/report.html").read_text()
+
+
+def test_influence_is_the_derivative_of_the_shadow_weight(here: Path) -> None:
+    """Its sum against light of which the model is made: one unit of brightness moves no weight."""
+    assert airlight("render", "scene.toml", "-o", "photo.exr", "--depth", "linear") == 0
+    assert airlight("fit", "scene.toml", "photo.exr", "-o", "out") == 0
+    influence, header = render_gl.read_channels("out/influence.exr")
+    assert header["airlight.parameter"] == "shadow"
+    image, _ = render_gl.read_channels("out/image.exr")
+    residual, _ = render_gl.read_channels("out/residual.exr")
+    assert all((influence[c][residual["used.Y"] == 0] == 0).all() for c in "RGB")
+    along = sum((influence[c].astype(float) * image[c]).sum() for c in "RGB")
+    size = sum((np.abs(influence[c].astype(float)) * image[c]).sum() for c in "RGB")
+    # All light times a factor is brightness (and background) times it; float32 rounds each pixel.
+    assert abs(along) < 1e-5 * size
 
 
 def test_json_is_one_document_on_standard_output(here: Path, capsys) -> None:
@@ -253,9 +320,48 @@ COMMANDS = {
         *("fit", "--layers", "l.exr", "photo.png", "-o", "out"),
         *("--source", "analytic"),
     ),
+    "three paths": ("fit", "scene.toml", "photo.png", "scene.toml", "-o", "out"),
     "unknown curve": ("fit", "scene.toml", "photo.png", "-o", "out", "--tone-curve", "log"),
     "layers without channels": ("fit", "--layers", "photo.png", "photo.png", "-o", "out"),
 }
+
+
+ONE = ("scene.toml", "photo.png")
+SLIPS = {
+    "NaN start": (*ONE, "--start", "brightness=nan"),
+    "infinite start": (*ONE, "--start", "shadow=inf"),
+    "start outside the range": (*ONE, "--start", "brightness=-1"),
+    "start of nothing": (*ONE, "--start", "haze=1"),
+    "start without a value": (*ONE, "--start", "shadow"),
+    "start given twice": (*ONE, "--start", "shadow=0.1", "--start", "shadow=0.2"),
+    "contradictory bounds": (*ONE, "--bounds", "shadow=1:0"),
+    "bounds outside the range": (*ONE, "--bounds", "brightness=:-1"),
+    "bounds without a range": (*ONE, "--bounds", "shadow=1"),
+    "bounds of NaN": (*ONE, "--bounds", "shadow=nan:1"),
+    "prior without width": (*ONE, "--prior", "gamma=1:0"),
+    "prior without a width": (*ONE, "--prior", "gamma=1"),
+    "tied to nothing": (*ONE, "--tie", "gamma="),
+    "tied to another kind": (*ONE, "--tie", "gamma=exposure"),
+    "tied in a circle": (
+        *(*ONE, *ONE, "--tie", "gamma.1=gamma.2"),
+        *("--tie", "gamma.2=gamma.1"),
+    ),
+    "unknown loss": (*ONE, "--loss", "love"),
+    "no step": (*ONE, "--max-steps", "0"),
+    "nothing free": (*ONE, "--free", ""),
+    "a mask for two photos": (*ONE, *ONE, "--mask", "photo.png"),
+    "a curve for two photos": (*ONE, *ONE, "--tone-curve", "linear"),
+}
+
+
+@pytest.mark.parametrize("words", SLIPS.values(), ids=SLIPS.keys())
+def test_slips_are_found_out_before_any_work(here: Path, capsys, monkeypatch, words) -> None:
+    def work(*args, **options):
+        raise AssertionError("work was begun")
+
+    monkeypatch.setattr(_job, "load_photo", work)
+    refused(capsys, "fit", *words, "-o", "out")
+    assert not Path("out").exists()
 
 
 @pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS.keys())

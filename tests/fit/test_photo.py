@@ -4,6 +4,7 @@ import io
 import os
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,9 @@ import tifffile
 from PIL import Image, ImageFile, ImageOps
 
 from fit import _photo
-from fit._photo import load_photo
+from fit._photo import REASONS, load_photo
 from model_jax._errors import InputError
-from model_jax._tone import Exposure, Linear, Srgb
+from model_jax._tone import Exposure, Linear, Srgb, ToneCurve
 from render_gl._exr import write_channels
 
 DATA = Path(
@@ -155,35 +156,40 @@ class TestFormats:
         photo = load_photo(tmp_path / "a.exr", tone_curve={"exposure": 1.5, "gamma": 2.2})
         # the stored 0.97 in float32, 1 - code**gamma = 0.05 of it: 2^-24 · 2.2 / 0.05 / 3
         np.testing.assert_allclose(photo.linear[:, :3, 0], light, rtol=2e-6)
-        assert photo.excluded == {"masked": 0, "not finite": 2, "saturated": 0}
+        assert photo.excluded == {"masked": 0, "not finite": 2}
+        assert (photo.codes, photo.half_steps) == (None, None)
 
 
 class TestCounts:
     def test_each_pixel_counts_once_in_order(self, tmp_path: Path) -> None:
-        codes = np.full((2, 3, 3), 100, dtype=np.uint8)
-        codes[0, 0, 1] = 255  # one channel is enough
-        codes[1, 2] = 255  # saturated, but masked
-        (tmp_path / "a.png").write_bytes(png(codes))
+        plane = np.full((2, 3), 0.5)
+        plane[0, 0] = np.nan
+        plane[1, 2] = np.inf  # not finite, but masked
+        write_channels(tmp_path / "a.exr", dict.fromkeys("RGB", plane), {})
         mask = np.full((2, 3, 1), 255, dtype=np.uint8)
         mask[1, 2] = 0
         mask[0, 2] = 1  # not white, not black: keeps
         (tmp_path / "m.png").write_bytes(png(mask))
-        photo = load_photo(tmp_path / "a.png", mask=tmp_path / "m.png")
-        assert photo.excluded == {"masked": 1, "not finite": 0, "saturated": 1}
-        np.testing.assert_array_equal(photo.valid, [[False, True, True], [True, True, False]])
+        photo = load_photo(tmp_path / "a.exr", mask=tmp_path / "m.png")
+        assert photo.excluded == {"masked": 1, "not finite": 1}
+        masked, broken = (1 + REASONS.index(name) for name in ("masked", "not finite"))
+        np.testing.assert_array_equal(photo.reason, [[broken, 0, 0], [0, 0, masked]])
+        np.testing.assert_array_equal(photo.valid, photo.reason == 0)
 
-    @pytest.mark.parametrize(("code", "saturated"), [(0, 0), (255, 12)], ids=["black", "white"])
-    def test_one_colour_all_over_is_no_error(
-        self, tmp_path: Path, code: int, saturated: int
-    ) -> None:
+    @pytest.mark.parametrize("code", [0, 255], ids=["black", "white"])
+    def test_one_colour_all_over_is_no_error(self, tmp_path: Path, code: int) -> None:
+        """A sample at either end tells a bound, so no pixel is left out for it."""
         (tmp_path / "a.png").write_bytes(png(np.full((3, 4, 3), code, dtype=np.uint8)))
-        assert load_photo(tmp_path / "a.png").excluded["saturated"] == saturated
+        photo = load_photo(tmp_path / "a.png")
+        assert photo.excluded == {"masked": 0, "not finite": 0}
+        assert photo.codes is not None
+        assert (photo.codes == code).all()
 
     def test_nan_and_inf_are_counted_and_kept(self, tmp_path: Path) -> None:
         plane = np.array([[np.nan, np.inf, 1.0]])
         write_channels(tmp_path / "a.exr", {"R": plane, "G": np.ones_like(plane), "B": plane}, {})
         photo = load_photo(tmp_path / "a.exr")
-        assert photo.excluded == {"masked": 0, "not finite": 2, "saturated": 0}
+        assert photo.excluded == {"masked": 0, "not finite": 2}
         np.testing.assert_array_equal(photo.linear[..., 0], plane)
 
     def test_an_exr_mask_of_any_channel(self, tmp_path: Path) -> None:
@@ -223,11 +229,42 @@ class TestQuantisation:
         top = np.iinfo(dtype).max
         (tmp_path / "a.png").write_bytes(png(np.array([[[0, top - 1, top]]], dtype=dtype)))
         photo = load_photo(tmp_path / "a.png", tone_curve=Exposure(exposure=2.0, gamma=1.0))
-        assert photo.excluded == {"masked": 0, "not finite": 0, "saturated": 1}
+        assert photo.valid.all()
         assert np.isfinite(photo.linear).all()
         assert np.isfinite(photo.quantisation).all()
         expected = -np.log(np.array([1.0, 1 / top, 0.5 / top])) / 2
         np.testing.assert_allclose(photo.linear[0, 0], expected, rtol=1e-6)
+
+
+class TestLimits:
+    """What a clipped sample tells: the light half a code inside the ends."""
+
+    @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+    @pytest.mark.parametrize(
+        ("curve", "decode"),
+        [
+            pytest.param(Linear(), lambda v: v, id="linear"),
+            pytest.param(
+                Srgb(),
+                lambda v: v / 12.92 if v < 0.04 else ((v + 0.055) / 1.055) ** 2.4,
+                id="srgb",
+            ),
+            pytest.param(Exposure(2.0, 2.2), lambda v: -np.log1p(-(v**2.2)) / 2, id="exposure"),
+        ],
+    )
+    def test_values(
+        self, tmp_path: Path, dtype: str, curve: ToneCurve, decode: Callable[[float], float]
+    ) -> None:
+        top = np.iinfo(dtype).max
+        (tmp_path / "a.png").write_bytes(png(np.array([[[0, 1, top]]], dtype=dtype)))
+        photo = load_photo(tmp_path / "a.png", tone_curve=curve)
+        assert photo.top == top
+        # -log(1 - v) near v = 1 takes an eps of v 2^16 times.
+        expected = [decode(0.5 / top), decode(1 - 0.5 / top)]
+        np.testing.assert_allclose(photo.limits, expected, rtol=1e-10)
+        black, white = photo.limits
+        assert photo.linear[0, 0, 0] < black < photo.linear[0, 0, 1]
+        assert white <= photo.linear[0, 0, 2] * (1 + 2e-7)  # float32
 
 
 class TestUnusable:
@@ -327,20 +364,22 @@ class TestUnusable:
 
 
 @pytest.mark.parametrize(
-    ("name", "shape", "saturated"),
+    ("name", "shape", "clipped"),
     [
         pytest.param("epic/epic_1b_20220110005515.jpg", (1080, 1080), 147, id="epic"),
         pytest.param("iss/iss_d4_56mm.jpg", (2768, 4928), 2, id="iss"),
     ],
 )
-def test_real_photos(name: str, shape: tuple[int, int], saturated: int) -> None:
+def test_real_photos(name: str, shape: tuple[int, int], clipped: int) -> None:
     path = data_file(name)
     photo = load_photo(path)
     with Image.open(path) as image:
         codes = np.asarray(image)
-    assert saturated == int((codes == 255).any(axis=-1).sum())
+    assert photo.codes is not None
+    np.testing.assert_array_equal(photo.codes, codes)
+    assert clipped == int((photo.codes == photo.top).any(axis=-1).sum())
     assert photo.linear.shape == (*shape, 3)
-    assert photo.excluded == {"masked": 0, "not finite": 0, "saturated": saturated}
+    assert photo.excluded == {"masked": 0, "not finite": 0}
     np.testing.assert_allclose(
         photo.linear[::97, ::89], srgb_to_linear(codes[::97, ::89]), rtol=2e-7
     )
@@ -348,5 +387,5 @@ def test_real_photos(name: str, shape: tuple[int, int], saturated: int) -> None:
 
 def test_real_exr_with_nan_and_inf() -> None:
     photo = load_photo(data_file("openexr_good/BrightRingsNanInf.exr"))
-    assert photo.excluded == {"masked": 0, "not finite": 12, "saturated": 0}
+    assert photo.excluded == {"masked": 0, "not finite": 12}
     assert int((~np.isfinite(photo.linear)).sum()) == 18

@@ -1,22 +1,31 @@
-"""Which pixels a fit uses, how they are counted, and that the reduction loses nothing."""
+"""Which pixels a fit uses, how they are counted, and that few pseudo-pixels stand for all."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fit._photo import Photo
-from fit._pixels import TILE, choose_pixels, tiles
-from fit._reduce import reduce_pixels
+from fit._loss import Loss
+from fit._photo import REASONS, Photo
+from fit._pixels import Columns, choose_pixels, take_columns, to_samples
+from fit._reduce import BINS, THIN, bins, moments, thinned
+from fit._solve import exact_gram
+from fit._stream import TILE, Model, Samples
 from model_jax import InputError, Layers, Linear, layer_widths
 
 SIZE = (6, 5)
+LINEAR = Model(Loss("linear"), None, True)
 
 
 def slab(
     planet: np.ndarray | None = None,
     surface: np.ndarray | None = None,
     size: tuple[int, int] = SIZE,
+    color: Sequence[float] = (1.0, 1.0, 1.0, 1.0),
 ) -> Layers:
     """Air of growing thickness in all rows but the first; shadow in its right half."""
     rows, columns = np.indices(size)
@@ -28,25 +37,26 @@ def slab(
         shadow_back=back,
         planet=planet,
         surface=surface,
+        color=color,
     )
 
 
-def photo_of(linear: np.ndarray, masked: np.ndarray, saturated: np.ndarray) -> Photo:
-    """A photo with the given pixels left out by mask and by saturation, mask first."""
-    finite = np.isfinite(linear).all(axis=-1)
+def photo_of(linear: np.ndarray, masked: np.ndarray, codes: np.ndarray | None = None) -> Photo:
+    """A photo with the given pixels left out, mask first; with codes one of 8 bits."""
+    reason = np.where(np.isfinite(linear).all(axis=-1), 0, 1 + REASONS.index("not finite"))
     return Photo(
         path=Path("made.png"),
         linear=linear,
-        valid=~masked & finite & ~saturated,
-        excluded={
-            "masked": int(masked.sum()),
-            "not finite": int((~masked & ~finite).sum()),
-            "saturated": int((~masked & finite & saturated).sum()),
-        },
-        quantisation=None,
+        reason=np.where(masked, 1 + REASONS.index("masked"), reason).astype(np.uint8),
         tone_curve=Linear(),
-        bits=32,
+        bits=32 if codes is None else 8,
+        codes=codes,
+        half_steps=None if codes is None else np.full(256, 0.5 / 255, np.float32),
     )
+
+
+def columns_of(photo: Photo | np.ndarray, layers: Layers, unit: float = 1.0) -> Columns:
+    return take_columns(photo, layers, choose_pixels(photo, layers), unit)
 
 
 def check_sum(photo: Photo | np.ndarray, layers: Layers) -> dict[str, int]:
@@ -79,22 +89,20 @@ def test_unknown_planet_is_said() -> None:
 
 def test_each_pixel_is_counted_once() -> None:
     light = np.full((*SIZE, 3), 0.25, np.float32)
-    masked, saturated = np.zeros(SIZE, bool), np.zeros(SIZE, bool)
+    masked = np.zeros(SIZE, bool)
     light[0, 0] = np.nan  # no air either
     light[1, 0] = np.nan
-    light[2, 0:2], saturated[2, 0:2] = 1.0, True
+    light[3, 0] = np.nan  # masked as well
     masked[3, 0:3] = True
     layers = slab()
     back = np.array(layers.back)
     back[4, 0] = np.nan
     layers = Layers(layers.front, back, layers.shadow_front, layers.shadow_back)
-    assert check_sum(photo_of(light, masked, saturated), layers) == {
-        "no air": 5,
-        "masked": 3,
-        "not finite": 1,
-        "saturated": 2,
-        "layers not finite": 1,
-    }
+    counts = {"no air": 5, "masked": 3, "not finite": 1, "layers not finite": 1}
+    assert check_sum(photo_of(light, masked), layers) == counts
+    codes = np.full((*SIZE, 3), 255, np.uint8)
+    codes[5] = 0
+    assert check_sum(photo_of(light, masked, codes), layers) == counts
 
 
 def test_infinite_shadow_depths_are_no_fault() -> None:
@@ -125,46 +133,180 @@ def test_wrong_arrays(photo: np.ndarray, message: str) -> None:
         choose_pixels(photo, slab())
 
 
-def test_tiles_hold_the_contract_widths() -> None:
-    """More pixels than a tile, and the widths of `layer_widths` (here exact in float32)."""
-    size = (200, 100)
-    layers = slab(size=size)
-    light = np.random.default_rng(0).uniform(size=(*size, 3))
-    pixels = choose_pixels(light, layers)
-    parts = list(tiles(light, layers, pixels.used))
-    assert [part.lit.size for part in parts] == [TILE, pixels.count - TILE]
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_columns_hold_the_contract_widths(dtype: type) -> None:
+    """Float64 whatever the photo's type; the widths of `layer_widths`, exact here in float32."""
+    light = np.random.default_rng(0).uniform(size=(*SIZE, 3)).astype(dtype)
+    layers = slab()
+    found, scaled = columns_of(light, layers), columns_of(light, layers, 4.0)
+    used = choose_pixels(light, layers).used
     lit, dark = layer_widths(layers)
-    assert dark is not None
-    np.testing.assert_array_equal(
-        np.concatenate([part.lit for part in parts]), np.asarray(lit)[pixels.used]
-    )
-    np.testing.assert_array_equal(
-        np.concatenate([part.dark for part in parts]), np.asarray(dark)[pixels.used]
-    )
-    np.testing.assert_array_equal(
-        np.concatenate([part.light for part in parts]), light[pixels.used]
-    )
+    assert found.dark is not None
+    assert scaled.dark is not None
+    for part in (found.lit, found.dark, found.light):
+        assert part.dtype == np.float64
+    np.testing.assert_array_equal(found.index, np.flatnonzero(used))
+    np.testing.assert_array_equal(found.lit, np.asarray(lit)[used])
+    np.testing.assert_array_equal(found.dark, np.asarray(dark)[used])
+    np.testing.assert_array_equal(found.light, light[used])
+    np.testing.assert_array_equal(4 * scaled.lit, found.lit)
+    np.testing.assert_array_equal(4 * scaled.dark, found.dark)
+    assert 4 * scaled.width_error == found.width_error
+    assert (found.surface, found.clipped) == (None, None)
 
 
+def test_layers_without_shadow_have_no_dark_column() -> None:
+    layers = slab()
+    assert columns_of(np.ones((*SIZE, 3)), Layers(layers.front, layers.back)).dark is None
+
+
+def test_clipped_samples_hold_their_bound_and_come_last() -> None:
+    codes = np.full((*SIZE, 3), 100, np.uint8)
+    codes[0] = 255  # no air
+    codes[2, 3, 1] = 255
+    codes[4, 1] = [0, 7, 255]
+    photo = photo_of((codes / 255).astype(np.float32), np.zeros(SIZE, bool), codes)
+    found = columns_of(photo, slab())
+    assert found.clipped is not None
+    assert found.clipped.dtype == np.int8
+    assert len(found.index) == 25
+    np.testing.assert_array_equal(found.index[-2:], [2 * 5 + 3, 4 * 5 + 1])
+    np.testing.assert_array_equal(found.clipped[-2:], [[0, 1, 0], [-1, 0, 1]])
+    assert not found.clipped[:-2].any()
+    assert (np.diff(found.index[:-2]) > 0).all()
+    expected = [[100 / 255, 254.5 / 255, 100 / 255], [0.5 / 255, 7 / 255, 254.5 / 255]]
+    np.testing.assert_allclose(found.light[-2:], expected, rtol=2e-7)
+
+
+def test_no_infinite_light_reaches_a_fit() -> None:
+    """A photo's NaN and infinite samples are left out, and a clipped one's bound is finite."""
+    light = np.full((*SIZE, 3), 0.5)
+    light[2, 2], light[3, 3, 0] = np.inf, np.nan
+    found = columns_of(light, slab())
+    assert len(found.index) == 23
+    assert np.isfinite(found.light).all()
+
+
+def sizes_of_tiles(samples: Samples) -> list[int]:
+    return np.asarray(samples.count)[: int(samples.used)].tolist()
+
+
+def test_tiles_hold_each_pixel_once() -> None:
+    """Two photos: tiles of their own, in order, the last ones part full and the rest empty."""
+    first = columns_of(np.random.default_rng(0).uniform(size=(90, 50, 3)), slab(size=(90, 50)))
+    second = columns_of(np.random.default_rng(1).uniform(size=(7, 9, 3)), slab(size=(7, 9)))
+    second = replace(second, dark=None)
+    samples = to_samples([first, second])
+    n = len(first.lit)
+    assert sizes_of_tiles(samples) == [TILE, TILE, n - 2 * TILE, len(second.lit)]
+    assert np.asarray(samples.photo)[:4].tolist() == [0, 0, 0, 1]
+    assert not np.asarray(samples.count)[4:].any()
+    lit = np.asarray(samples.lit)
+    np.testing.assert_array_equal(lit[:3].reshape(-1)[:n], first.lit)
+    np.testing.assert_array_equal(lit[3, : len(second.lit)], second.lit)
+    light = np.moveaxis(np.asarray(samples.light)[:3], 1, 2).reshape(-1, 3)
+    np.testing.assert_array_equal(light[:n], first.light)
+    # What one photo has, all have: no shadow is a width of 0.
+    assert samples.dark is not None
+    assert not np.asarray(samples.dark)[3].any()
+    assert (samples.surface, samples.clipped, samples.weight, samples.one) == (None,) * 4
+
+
+def pictures(rng: np.random.Generator, surface: bool, scale: float) -> list[Columns]:
+    """Two photos of random light, of which the first needs two tiles, with colours of their own."""
+    found = []
+    for size, color in (((60, 50), (1.0, 0.8, 0.5, 1.0)), ((30, 20), (0.3, 1.0, 1.0, 1.0))):
+        behind = rng.uniform(size=(*size, 3)) * scale if surface else None
+        layers = slab(surface=behind, size=size, color=color)
+        found.append(columns_of(rng.normal(size=(*size, 3)) * scale, layers))
+    return found
+
+
+def random_entries(rng: np.random.Generator, scale: float, photos: int) -> np.ndarray:
+    """A look and responses of gamma 1: brightness, shadow, tint, background, then each photo's."""
+    look = [scale, *rng.uniform(0, 2, 3), *rng.uniform(0, 2, 3), *scale * rng.normal(size=3)]
+    responses = [[rng.uniform(0.5, 2), 1.0, scale * rng.normal()] for _ in range(photos)]
+    return np.array([*look, *np.ravel(responses)])
+
+
+@pytest.mark.parametrize("surface", [False, True], ids=["sky", "surface"])
 @pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
-def test_reduction_keeps_every_square_sum(scale: float) -> None:
-    """|A x - y|² from the triangle and from all pixels, for random x: equal to rounding.
-
-    The first rows have the thinnest air and so the smallest numbers: the scale grows on the way.
-    """
-    size = (300, 100)
-    layers = slab(size=size)
+def test_moments_keep_every_square_sum(scale: float, surface: bool, x64: None) -> None:
+    """Cost and slopes from nine pseudo-pixels a photo and from all, for random looks."""
     rng = np.random.default_rng(1)
-    light = rng.normal(size=(*size, 3)) * scale * np.indices(size)[0][..., None]
-    pixels = choose_pixels(light, layers)
-    reduced = reduce_pixels(light, layers, pixels)
-    lit, dark = (np.asarray(w, np.float64)[pixels.used] for w in layer_widths(layers))
-    matrix = np.column_stack([np.ones_like(lit), lit / reduced.width, dark / reduced.width])
-    target = light[pixels.used] / reduced.light
+    whole = jax.tree.map(jnp.asarray, to_samples(pictures(rng, surface, scale)))
+    few = jax.tree.map(jnp.asarray, moments(whole))
+    assert np.asarray(few.count).sum() <= 2 * 9
     for _ in range(3):
-        x = rng.normal(size=(3, 3))
-        whole = ((matrix @ x - target) ** 2).sum()
-        small = ((reduced.design @ x - reduced.target) ** 2).sum() + reduced.rest
-        # 30,000 terms added pairwise and a backward stable QR: a hundred roundings at most.
-        assert small == pytest.approx(whole, rel=100 * np.finfo(float).eps)
-    assert reduced.variation == pytest.approx(((target - target.mean(0)) ** 2).sum(), rel=1e-12)
+        entries = jnp.asarray(random_entries(rng, scale, 2))
+        along = jnp.asarray(np.diag(np.where(np.abs(entries) > 0, np.abs(entries), 1.0)))
+        ours, theirs = (np.asarray(exact_gram(entries, along, s, LINEAR)) for s in (few, whole))
+        # Sums of products hold a square sum to some eps of its largest part: of 10⁴ terms added in
+        # tiles, and of an eigenvalue decomposition of nine rows.
+        size = np.sqrt(np.diag(theirs))
+        np.testing.assert_array_less(np.abs(ours - theirs), 1e-13 * np.outer(size, size) + 1e-300)
+
+
+def test_bins_weigh_all_pixels(x64: None) -> None:
+    """Weights add up to the pixels, weighted means to the sums; clipped ones have their own."""
+    rng = np.random.default_rng(2)
+    first, second = pictures(rng, False, 1.0)
+    clipped = np.zeros(first.light.shape, np.int8)
+    clipped[-300:] = rng.integers(-1, 2, (300, 3))
+    light = np.where(clipped > 0, 0.9, np.where(clipped < 0, 0.1, first.light))
+    first = replace(first, clipped=clipped, light=light)
+    made = bins([first, second])
+    weight = np.asarray(made.weight)
+    tiles = [np.asarray(made.photo)[: int(made.used)] == k for k in range(2)]
+    for columns, mine in zip((first, second), tiles, strict=True):
+        rows = np.flatnonzero(mine)
+        assert weight[rows].sum() == pytest.approx(len(columns.lit), rel=1e-13)
+        assert columns.dark is not None
+        for part, whole in (
+            (np.asarray(made.lit)[rows], columns.lit),
+            (np.asarray(made.dark)[rows], columns.dark),
+            (np.asarray(made.light)[rows, 1], columns.light[:, 1]),
+        ):
+            assert (part * weight[rows]).sum() == pytest.approx(whole.sum(), rel=1e-12, abs=1e-10)
+    assert made.clipped is not None
+    rows = np.flatnonzero(tiles[0])
+    for kind, bound in ((1, 0.9), (-1, 0.1)):
+        there = np.moveaxis(np.asarray(made.clipped)[rows] == kind, 1, 2)
+        own = np.moveaxis(np.asarray(made.light)[rows], 1, 2)[there]
+        np.testing.assert_allclose(own, bound, rtol=1e-14)
+        counted = (there * weight[rows][..., None]).sum()
+        assert counted == pytest.approx((clipped == kind).sum(), rel=1e-13)
+
+
+def test_bins_are_close_to_the_pixels(x64: None) -> None:
+    """A width is off by half a bin at most: a 512th of the range, of the light's slope by it."""
+    columns = columns_of(np.random.default_rng(3).uniform(size=(120, 90, 3)), slab(size=(120, 90)))
+    assert columns.dark is not None
+    made = bins([columns])
+    n = int((np.asarray(made.weight) > 0).sum())
+    assert n < len(columns.lit)
+    spread = float((columns.lit**2).sum())
+    weighted = float((np.asarray(made.weight) * np.asarray(made.lit) ** 2).sum())
+    # The mean of squares exceeds the square of the mean by a bin's variance, at most (bin / 2)².
+    room = len(columns.lit) * (np.ptp(columns.lit) / BINS / 2) ** 2
+    assert 0 <= spread - weighted <= room
+
+
+def test_thinned_pixels_stand_for_all(x64: None) -> None:
+    n = 2 * THIN + 5
+    rng = np.random.default_rng(4)
+    whole = Columns(
+        index=np.arange(n),
+        lit=rng.uniform(size=n),
+        dark=None,
+        light=rng.uniform(size=(n, 3)),
+        surface=rng.uniform(size=(n, 3)),
+        clipped=np.zeros((n, 3), np.int8),
+        color=np.ones(3),
+        width_error=0.0,
+    )
+    few = thinned([whole])
+    kept = -(-n // 2)
+    assert np.asarray(few.weight).sum() == 2 * kept
+    assert int(np.asarray(few.count).sum()) == kept
+    assert np.asarray(few.lit)[0, :5].tolist() == whole.lit[:10:2].tolist()

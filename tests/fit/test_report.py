@@ -1,13 +1,16 @@
 """The report: one self-contained page that says what fit.json says, whatever the fit was."""
 
+import copy
 import re
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 
 from fit import fit
-from fit._report import measured, number, report_html
+from fit._report import photo_section, report_html
+from fit._wording import measured, number, span
 from model_jax import (
     Atmosphere,
     Camera,
@@ -34,10 +37,10 @@ PICTURE = np.asarray(combine(LAYERS, Look()))[..., :3]
 def document(photo: np.ndarray = PICTURE, **changes: Any) -> dict[str, Any]:
     """A fit.json document as the command line makes it."""
     facts = {
-        "schema": 1,
+        "schema": 2,
         "scene": "scene.toml",
         "photo": "photo.png",
-        **fit(photo, LAYERS).to_dict(),
+        **copy.deepcopy(told(photo.tobytes())),
         "versions": {"airlight": "0.1.0"},
         "command": "airlight fit",
     }
@@ -45,15 +48,30 @@ def document(photo: np.ndarray = PICTURE, **changes: Any) -> dict[str, Any]:
     return facts | changes
 
 
-def page(facts: dict[str, Any], photo: np.ndarray = PICTURE, **changes: Any) -> str:
+@cache
+def told(photo: bytes) -> dict[str, Any]:
+    """The fit of a photo, given as bytes so that each is fitted once."""
+    return fit(np.frombuffer(photo, np.float32).reshape(PICTURE.shape), LAYERS).to_dict()
+
+
+def page(
+    facts: dict[str, Any],
+    photo: np.ndarray = PICTURE,
+    command: str = "airlight fit scene.toml photo.png -o out",
+    **changes: Any,
+) -> str:
+    return report_html(facts, [section(photo, **changes)], command)
+
+
+def section(photo: np.ndarray = PICTURE, **changes: Any) -> dict[str, Any]:
     settings = {
+        "name": "photo.png",
         "picture": PICTURE,
         "used": np.asarray(LAYERS.has_air),
         "height": limb_height(SCENE),
         "tone_curve": Srgb(),
-        "command": "airlight fit scene.toml photo.png -o out",
     } | changes
-    return report_html(facts, photo, **settings)
+    return photo_section(photo=photo, **settings)
 
 
 def test_every_section_is_there() -> None:
@@ -63,8 +81,12 @@ def test_every_section_is_there() -> None:
         "Photo and model",
         "Limb profile",
         "Parameters",
-        "Correlation",
+        "95 % interval",
+        "What the photo tells",
         "Left out",
+        "Correlation",
+        "What the errors rest on",
+        "Convergence",
         "Pixels",
         "Time",
         "Command",
@@ -73,6 +95,64 @@ def test_every_section_is_there() -> None:
     for name in ("brightness", "shadow", "tint.r", "tint.g", "tint.b", "background"):
         assert name in text
     assert "airlight fit scene.toml photo.png -o out" in text
+
+
+def test_what_each_pixel_meant_is_shown_and_said() -> None:
+    result = fit(PICTURE, LAYERS, loss="huber")
+    maps = {"influence": ("shadow", result.influence("shadow").sum(axis=-1))}
+    text = page(document(), **maps)
+    assert "how far <b>shadow</b> moves" in text
+    assert "Belief" not in text
+    text = page(document(), **maps, weights=result.weights())
+    assert "Belief in each pixel" in text
+    assert "Influence of each pixel" not in page(document(), weights=result.weights())
+
+
+def test_the_influence_of_half_and_of_the_shadowed_pixels_is_counted() -> None:
+    used = np.zeros((72, 96), bool)
+    used[:2, :10] = True
+    shadowed = np.zeros((72, 96), bool)
+    shadowed[1] = True
+    influence = np.zeros((72, 96), np.float32)
+    influence[0, :10], influence[1, :10] = 3.0, -1.0  # three quarters lie with the ten lit pixels
+    made = section(used=used, shadowed=shadowed, influence=("shadow", influence))
+    assert made["influence"]["dark"] == "25 %"
+    assert made["influence"]["few"] == "35 %"  # 7 of 20 pixels hold 21 of 40
+
+
+def test_bounds_priors_ties_and_responses_are_in_the_table() -> None:
+    facts = document()
+    parameters = facts["parameters"]
+    assert "black_level" in parameters
+    assert "black_level" not in page(facts)  # fixed, and changes nothing
+    parameters["brightness"] |= {"prior": [3.0, 0.5], "bounds": [0.0, 5.0]}
+    parameters["gamma"] |= {"value": 1.2, "role": "fixed"}
+    parameters["exposure"] |= {"role": "tied", "tied_to": "exposure.1"}
+    text = page(facts)
+    for words in ("3 ± 0.5", "0 … 5", "gamma", "= exposure.1"):
+        assert words in text
+
+
+def test_warnings_are_listed_once() -> None:
+    warning = "The background came out negative: the model takes light away."
+    text = page(document(warnings=[warning], message=f"The fit converged. {warning}"))
+    assert text.count(warning) == 1
+
+
+def test_the_second_opinion_and_the_curve_are_there() -> None:
+    text = page(document(history=[10.0, 1.0, 0.5], second_opinion="lower"))
+    assert "ended lower" in text
+    assert "square sum after each step" in text
+    assert "made no step" in page(document(history=[], second_opinion=""))
+
+
+def test_several_photos_each_have_their_pictures() -> None:
+    sections = [section(name=f"photo{n}.png", count=2) for n in (1, 2)]
+    text = report_html(document(), sections, "")
+    for which in (1, 2):
+        assert f"Photo and model · photo {which}" in text
+        assert f"photo{which}.png" in text
+    assert text.count("Limb profile") == 2
 
 
 def test_nothing_is_asked_from_outside() -> None:
@@ -95,8 +175,9 @@ def test_a_large_photo_makes_no_large_page() -> None:
     rng = np.random.default_rng(1)
     noise = rng.random((2400, 3200, 3)).astype(np.float32)
     used = np.ones((2400, 3200), bool)
-    text = page(document(), photo=noise, picture=noise, used=used, height=None)
-    assert len(text) < 4_000_000
+    maps = {"influence": ("shadow", noise[..., 0] - 0.5), "weights": noise[..., 1]}
+    text = page(document(), photo=noise, picture=noise, used=used, height=None, **maps)
+    assert len(text) < 5_000_000
 
 
 def spoilt() -> np.ndarray:
@@ -139,6 +220,21 @@ def test_an_empty_correlation_and_no_errors() -> None:
 )
 def test_values_are_written_to_two_digits_of_their_error(value, stderr, text) -> None:
     assert measured(value, stderr) == text
+
+
+@pytest.mark.parametrize(
+    ("limits", "text"),
+    [
+        ((7.0594, 16.771), "7.1 … 16.8"),
+        ((-0.24514, -0.06361), "−0.245 … −0.064"),
+        ((1e-9, 3e-9), "1 · 10⁻⁹ … 3 · 10⁻⁹"),
+        ((2.0, 2.0), "2"),
+        ((None, 1.0), "—"),
+        (None, "—"),
+    ],
+)
+def test_intervals_are_written_to_two_digits_of_half_their_width(limits, text) -> None:
+    assert span(limits) == text
 
 
 def test_missing_numbers_are_dashes() -> None:

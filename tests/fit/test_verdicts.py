@@ -207,13 +207,13 @@ def test_json_has_the_schemas_keys(layers: Layers) -> None:
     keys = {"value", "stderr", "initial", "free", "unit", "bounds"}
     assert all(keys <= entry.keys() for entry in made["parameters"].values())
     assert made["parameters"]["brightness"]["bounds"] == [0.0, None]
-    assert {"reduce", "solve"} == made["seconds"].keys()
+    assert {"reduce", "solve", "errors"} == made["seconds"].keys()
 
 
 def test_wrong_names_and_sizes(layers: Layers) -> None:
     photo = picture(layers, TRUTH)
-    with pytest.raises(InputError, match="'exposure'"):
-        fit(photo, layers, free=["brightness", "exposure"])
+    with pytest.raises(InputError, match="'haze'"):
+        fit(photo, layers, free=["brightness", "haze"])
     with pytest.raises(InputError, match="nothing to fit"):
         fit(photo, layers, free=[])
     with pytest.raises(InputError, match="'newton'"):

@@ -1,0 +1,212 @@
+"""Air or no air: the Moon and synthetic bare discs have none, Earth and model shells have."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from fit import load_photo
+from fit._bare_limb import EVIDENCE, AirEvidence, bare_limb, effective_samples, find_air
+from model_jax import Atmosphere, Camera, Planet, Scene, Sun, analytic_layers, layer_widths
+from render_gl import load_scene
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+SIDEWAYS = Sun(direction=(1.0, 0.3, 0.4))
+
+
+@pytest.mark.parametrize("sigma", [1.0, 2.0, 4.0])
+def test_effective_samples_of_blurred_noise(sigma: float, rng: np.random.Generator) -> None:
+    """Areas 4πσ² and 2πσ² of white noise blurred by a Gaussian; a fifth is the sampling error of
+    some hundred independent patches and what tiles of 128 px cut off."""
+    noise = gaussian_filter(rng.normal(size=(512, 512, 3)), (sigma, sigma, 0), mode="wrap")
+    used = np.ones((512, 512), dtype=bool)
+    used[100:200, 50:300] = False
+    count = 3 * used.sum()
+    assert count / effective_samples(noise, used) == pytest.approx(4 * np.pi * sigma**2, rel=0.2)
+    squares = effective_samples(noise, used, squares=True)
+    assert count / squares == pytest.approx(2 * np.pi * sigma**2, rel=0.2)
+
+
+def test_effective_samples_of_white_noise(rng: np.random.Generator) -> None:
+    noise = rng.normal(size=(200, 300, 3))
+    used = rng.random((200, 300)) < 0.3
+    assert effective_samples(noise, used) == pytest.approx(3 * used.sum(), rel=0.1)
+    grey = np.repeat(noise[..., :1], 3, axis=2)
+    assert effective_samples(grey, used) == pytest.approx(used.sum(), rel=0.1)
+    assert effective_samples(0 * noise, used) == 3 * used.sum()
+    assert effective_samples(noise, np.zeros_like(used)) == 1.0
+
+
+@pytest.mark.parametrize("height", [0.03, 0.1])
+@pytest.mark.parametrize("sun", [None, SIDEWAYS], ids=["no sun", "sun"])
+def test_synthetic_bare_disc_has_no_air(
+    height: float, sun: Sun | None, rng: np.random.Generator
+) -> None:
+    """Half a moon, blurred by 1.5 px and 0.7 px beside the scene's planet."""
+    light = half_moon(100.7, 99.5) + rng.normal(scale=0.002, size=(200, 200, 3))
+    evidence = search(light, disc_scene((200, 200), (99.5, 99.5, 60.0), height, sun))
+    assert evidence.delta_bic <= EVIDENCE
+    assert evidence.bare.blur_px == pytest.approx(1.5, abs=0.3)
+
+
+def test_finds_blur_and_place(rng: np.random.Generator) -> None:
+    light = half_moon(100.2, 99.5, blur=1.0) + rng.normal(scale=1e-3, size=(200, 200, 3))
+    layers = analytic_layers(disc_scene((200, 200), (99.5, 99.5, 60.0), 0.1))
+    planet = np.asarray(layers.planet) != 0
+    model = bare_limb(light, planet, np.asarray(layers.has_air))
+    assert model.blur_px == pytest.approx(1.0, abs=0.15)
+    # Only the lit half tells the place: its limb, on the right, is 0.7 px farther right. The disc's
+    # curvature adds 5² / (2 · 60) px, as `_limb` says.
+    assert model.shift_px[0] + model.shift_px[1] == pytest.approx(0.7 + 0.21, abs=0.1)
+
+
+@pytest.mark.parametrize("disc", [0.0, 0.5], ids=["black planet", "lit planet"])
+def test_faint_shell_over_a_disc_is_air(disc: float, rng: np.random.Generator) -> None:
+    """A peak of three times the noise in a pixel, in many pixels."""
+    scene = disc_scene((200, 200), (99.5, 99.5, 60.0), 0.1, SIDEWAYS)
+    layers = analytic_layers(scene)
+    lit, dark = layer_widths(layers)
+    assert dark is not None
+    shell = (np.asarray(lit) + 0.2 * np.asarray(dark)) * (np.asarray(layers.planet) == 0)
+    noise = 0.01
+    light = disc * half_moon(99.5, 99.5) + rng.normal(scale=noise, size=(200, 200, 3))
+    light += 3 * noise * (shell / shell.max())[..., None] * np.array([0.3, 0.6, 1.0])
+    assert search(light, scene).delta_bic > 5 * EVIDENCE
+
+
+def test_black_sky_and_black_planet_have_no_air(rng: np.random.Generator) -> None:
+    scene = disc_scene((200, 200), (99.5, 99.5, 60.0), 0.1, SIDEWAYS)
+    noise = rng.normal(scale=0.01, size=(200, 200, 3))
+    assert search(noise, scene).delta_bic < 0
+    assert search(np.zeros_like(noise), scene).delta_bic <= 0
+    assert search(np.full_like(noise, 0.25), scene).delta_bic <= 0
+
+
+def test_disc_that_is_not_finite_counts_for_nothing(rng: np.random.Generator) -> None:
+    scene = disc_scene((200, 200), (99.5, 99.5, 60.0), 0.1, SIDEWAYS)
+    layers = analytic_layers(scene)
+    light = rng.normal(scale=0.01, size=(200, 200, 3))
+    light[np.asarray(layers.planet) != 0] = np.nan
+    assert search(light, scene).delta_bic < 0
+
+
+def test_without_a_planet_the_rival_is_a_level(rng: np.random.Generator) -> None:
+    width = np.linspace(0, 1, 100)[:, None] * np.ones(80)
+    nowhere, everywhere = np.zeros((100, 80), dtype=bool), np.ones((100, 80), dtype=bool)
+    noise = rng.normal(scale=0.1, size=(100, 80, 3))
+    assert find_air(noise, nowhere, everywhere, [width]).delta_bic < 0
+    assert find_air(noise + 0.1 * width[..., None], nowhere, everywhere, [width]).has_air
+    assert not find_air(noise, nowhere, nowhere, [width]).has_air
+    exact = np.repeat(width[..., None], 3, axis=2)
+    assert find_air(exact, nowhere, everywhere, [width]).has_air
+
+
+@pytest.mark.parametrize("height", [0.01, 0.02, 0.06])
+@pytest.mark.parametrize("wrong", [(0, 0, 0), (0, 1, 0), (0, 0, -1)], ids=str)
+def test_moon_has_no_air(data_dir: Path, height: float, wrong: tuple[int, int, int]) -> None:
+    """Whatever shell is laid around it, on its limb or a pixel beside it. Not farther: a scene that
+    is both a pixel too large and a pixel aside is told air (ΔBIC 65)."""
+    light = load_photo(data_dir / "apollo" / "AS11-44-6665.jpg").linear
+    x, y, radius = np.array(limb_circle(light)) + wrong
+    assert radius == pytest.approx(762.7, abs=3)
+    sun = SIDEWAYS if height == 0.02 else None
+    evidence = search(light, disc_scene(light.shape[:2], (x, y, radius), height, sun))
+    assert evidence.delta_bic <= EVIDENCE
+
+
+@pytest.mark.parametrize("height", [0.01, 0.03])
+@pytest.mark.parametrize("name", ["AS11-44-6692", "AS12-50-7364"])
+def test_earth_from_apollo_has_air(data_dir: Path, name: str, height: float) -> None:
+    light = load_photo(data_dir / "apollo" / f"{name}.jpg").linear
+    known = {entry["file"]: entry for entry in json.loads((data_dir / "geometry.json").read_text())}
+    x, y, radius, _ = known[f"apollo/{name}.jpg"]["disc_fit_px"]
+    azimuth, phase = np.radians({"AS11-44-6692": (90, 100), "AS12-50-7364": (-49, 103)}[name])
+    across = np.sin(phase)
+    sun = Sun((across * np.cos(azimuth), across * np.sin(azimuth), np.cos(phase)))
+    evidence = search(light, disc_scene(light.shape[:2], (x, y, radius), height, sun))
+    assert evidence.delta_bic > 5 * EVIDENCE
+
+
+def test_reference_has_air() -> None:
+    scene = load_scene(EXAMPLES / "reference.toml").scene
+    assert search(load_photo(EXAMPLES / "reference.png").linear, scene).has_air
+
+
+def test_earth_from_epic_has_air(data_dir: Path) -> None:
+    scene = load_scene(EXAMPLES / "epic.toml").scene
+    light = load_photo(data_dir / "epic" / "epic_1b_20220110005515.jpg").linear
+    assert search(light, scene).has_air
+
+
+def test_limb_from_orbit_has_air(data_dir: Path) -> None:
+    scene = load_scene(EXAMPLES / "iss.toml").scene
+    light = load_photo(data_dir / "iss" / "iss_d4_56mm.jpg").linear
+    assert search(light, scene).delta_bic > 5 * EVIDENCE
+
+
+def search(light: np.ndarray, scene: Scene) -> AirEvidence:
+    layers = analytic_layers(scene)
+    widths = [np.asarray(width) for width in layer_widths(layers) if width is not None]
+    planet = np.asarray(layers.planet) != 0
+    return find_air(light, planet, np.asarray(layers.has_air), widths)
+
+
+def disc_scene(
+    size: tuple[int, int],
+    circle: tuple[float, float, float],
+    height: float,
+    sun: Sun | None = None,
+) -> Scene:
+    """A planet of radius 1, from 200 radii, whose outline is a circle (x, y, radius) in pixels."""
+    (rows, columns), (x, y, radius), far = size, circle, 200.0
+    focal = radius * np.sqrt(far**2 - 1)
+    camera = Camera(
+        position=(0.0, 0.0, far),
+        forward=(-(x + 0.5 - columns / 2) / focal, (y + 0.5 - rows / 2) / focal, -1.0),
+        up=(0.0, 1.0, 0.0),
+        fov_y_deg=2 * np.degrees(np.arctan(rows / 2 / focal)),
+        width=columns,
+        height=rows,
+        near=far - 2,
+        far=far + 2,
+    )
+    return Scene(camera, Planet(radius=1.0), Atmosphere(height=height), sun)
+
+
+def half_moon(x: float, y: float, blur: float = 1.5, radius: float = 60.0) -> np.ndarray:
+    """A grey sphere lit from the right, 200² px; drawn four times finer, blurred, reduced."""
+    fine = (np.arange(800) + 0.5) / 4 - 0.5
+    right, down = np.meshgrid((fine - x) / radius, (fine - y) / radius)
+    height = np.sqrt(np.maximum(1 - right**2 - down**2, 0))
+    # The Moon's light hardly falls toward its limb: no Lambert.
+    shade = np.where(height > 0, np.clip(3 * (right + 0.1), 0, 1), 0) * 0.6
+    shade = gaussian_filter(shade, 4 * blur).reshape(200, 4, 200, 4).mean(axis=(1, 3))
+    return shade[..., None] * np.array([1.0, 0.95, 0.85])
+
+
+def limb_circle(light: np.ndarray) -> tuple[float, float, float]:
+    """The Moon's outline (x, y, radius), px: the steepest fall along each ray from the centre,
+    then a circle through them (Kåsa 1976), three times without the outliers."""
+    grey = light.mean(axis=-1)
+    disc = grey > 0.5 * np.median(grey[grey > 0.25 * np.percentile(grey, 99)])
+    y, x = (axis.mean() for axis in np.nonzero(disc))
+    radius = np.sqrt(disc.sum() / np.pi)
+    angle = np.linspace(0, 2 * np.pi, 1440, endpoint=False)[:, None]
+    for _ in range(3):
+        along = np.arange(0.85 * radius, 1.15 * radius, 0.5)
+        columns, rows = x + along * np.cos(angle), y + along * np.sin(angle)
+        rows = np.clip(np.rint(rows).astype(int), 0, grey.shape[0] - 1)
+        profile = grey[rows, np.clip(np.rint(columns).astype(int), 0, grey.shape[1] - 1)]
+        fall = -np.gradient(gaussian_filter(profile, (0, 1)), axis=1)
+        edge = along[fall.argmax(axis=1)]
+        edge_x, edge_y = x + edge * np.cos(angle[:, 0]), y + edge * np.sin(angle[:, 0])
+        keep = strong = fall.max(axis=1) > 0.3 * np.median(fall.max(axis=1))
+        for _ in range(6):
+            matrix = np.column_stack([2 * edge_x, 2 * edge_y, np.ones_like(edge_x)])[keep]
+            x, y, rest = np.linalg.lstsq(matrix, (edge_x**2 + edge_y**2)[keep], rcond=None)[0]
+            radius = np.sqrt(rest + x**2 + y**2)
+            off = np.abs(np.hypot(edge_x - x, edge_y - y) - radius)
+            keep = strong & (off < max(1.0, 3.7 * np.median(off[keep])))
+    return float(x), float(y), float(radius)

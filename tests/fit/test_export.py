@@ -1,0 +1,474 @@
+"""Exported numbers are the fit's: in a shader that is drawn, in a scene that is loaded, in tables.
+
+The round trip through OpenGL pastes the exported lines into `combine.glsl` in place of the uniforms
+of the same names, draws with a look in the uniforms that is *not* the fit's, and holds the picture
+against JAX's picture of the fit by the bound of `render_gl._parity`.
+"""
+
+import csv
+import dataclasses
+import io
+import json
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+import render_gl
+from fit import fit
+from fit._cli import main
+from fit._export import Format, Number, export_text, float_literal, read_fit
+from model_jax import PARAMETERS, InputError, Look, Scene, combine, composite
+from render_gl import _shaders
+from render_gl._context import gl_context
+from render_gl._draw import draw
+from render_gl._parity import EPS, Parity, compare, measure_division
+from render_gl._render import frame_layers
+
+from .looks import START, TRUTH, picture, scene
+
+ODD = Look(
+    brightness=2.7182818284590455,
+    shadow=[0.0, 1 / 3, 1.2345678901234567],
+    tint=[0.1, 1.7000000000000002, 1.2],
+    background=[-0.012345678901234567, 1e-30, 0.07],
+)
+"""Numbers that no float32 holds, zero, a negative one and a tiny one."""
+
+
+def entry(value: Any, **changes: Any) -> dict[str, Any]:
+    plain = {"value": value, "stderr": 0.01, "initial": 1.0, "free": True, "unit": "1"}
+    return plain | {"bounds": [0.0, None], "quantisation_bound": None} | changes
+
+
+def document_of(look: Look, width_unit: float | None = None, **changes: Any) -> dict[str, Any]:
+    """A fit.json of a look."""
+    parameters: dict[str, Any] = {}
+    for family in PARAMETERS:
+        value = getattr(look, family)
+        if np.shape(value):
+            names = [f"{family}.{channel}" for channel in "rgb"]
+            parameters |= {n: entry(float(v)) for n, v in zip(names, value, strict=True)}
+        else:
+            parameters[family] = entry(float(value))
+    unit = {} if width_unit is None else {"width_unit": width_unit}
+    made = {"schema": 2, "verdict": "converged", "photo": "limb.png", "scene": "limb.toml"}
+    return made | unit | {"parameters": parameters} | changes
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Callable[[dict[str, Any]], Path]:
+    """Writes a document as fit.json; returns its path."""
+
+    def write(document: dict[str, Any]) -> Path:
+        path = tmp_path / "fit.json"
+        path.write_text(json.dumps(document))
+        return path
+
+    return write
+
+
+def airlight(*words: object) -> int:
+    """Run the command in this process; returns the exit code."""
+    with mock.patch.object(sys, "argv", ["airlight", *map(str, words)]):
+        try:
+            main()
+        except SystemExit as stop:
+            return int(stop.code or 0)
+        return 0
+
+
+# --- round trip through a shader ----------------------------------------------------------------
+
+
+def pasted(shader: str, lines: str) -> str:
+    """`combine.glsl` with exported lines in place of its uniforms of the same names and types."""
+    constants = re.findall(r"^const (\w+) (\w+) = ", lines, re.MULTILINE)
+    kept = shader
+    for shape, name in constants:
+        kept = re.sub(rf"^uniform {shape} {name};.*\n", "", kept, flags=re.MULTILINE)
+    assert {name for _, name in constants} >= {"brightness", "shadow", "tint", "background"}
+    assert not re.search(r"^uniform \w+ (brightness|shadow|tint)\b", kept, re.MULTILINE)
+    return lines + kept
+
+
+def drawn(case: Scene, lines: str, look: Look, depth_format: str, monkeypatch: Any) -> Parity:
+    """The exported shader's picture against JAX's of `look`, with what rounding explains."""
+    original = _shaders._read
+
+    def read(name: str) -> str:
+        text = original(name)
+        if name == "combine.glsl":
+            return pasted(text, lines)
+        if name == "combine.frag":  # the frame buffer's part, where there is air
+            assert "air = combine(depths);" in text
+            return text.replace("combine(depths);", "combine(depths) + vec4(background, 0.0);")
+        return text
+
+    wrong = Look(brightness=123.0, shadow=0.77, tint=[2.0, 0.5, 0.5], background=9.0)
+    division = 0.0 if depth_format == "linear" else measure_division(case)
+    with monkeypatch.context() as patched:
+        patched.setattr(_shaders, "_read", read)
+        frame = draw(case, wrong, depth_format)
+    layers = frame_layers(case, frame, depth_format)
+    air = np.asarray(layers.has_air)[..., None]
+    whole = np.asarray(composite(layers, look))[..., :3]
+    alpha = np.asarray(combine(layers, look))[..., 3:]
+    parity = compare(case, look, frame, depth_format, division)
+    # One addition more, ½ ulp on either side.
+    adding = np.concatenate([EPS * np.abs(whole), np.zeros_like(alpha)], axis=-1)
+    expected = np.concatenate([np.where(air, whole, 0), alpha], axis=-1)
+    return dataclasses.replace(parity, jax=expected, bound=parity.bound + adding)
+
+
+@pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
+@pytest.mark.parametrize("sun", [True, False], ids=["sun", "no sun"])
+@pytest.mark.parametrize("with_unit", [True, False], ids=["width_unit constant", "uniform"])
+def test_exported_shader_draws_the_looks_picture(
+    written, monkeypatch, depth_format: str, sun: bool, with_unit: bool
+) -> None:
+    case = scene(unit=6371.0, sun=sun)
+    unit = float(case.camera.far - case.camera.near) if with_unit else None
+    lines = export_text(read_fit(written(document_of(ODD, unit))), Format.glsl)
+    parity = drawn(case, lines, ODD, depth_format, monkeypatch)
+    assert parity.passed, parity.summary()
+    assert np.max(parity.glsl) > 0.1  # comparing black with black would be no test
+
+
+def test_exported_shader_draws_the_fits_picture(written, monkeypatch) -> None:
+    case = scene()
+    layers = render_gl.render(case, "linear")
+    found = fit(picture(layers, TRUTH), layers, START)
+    document = {"schema": 2, "photo": "p.png"} | found.to_dict()
+    lines = export_text(read_fit(written(document)), Format.glsl)
+    parity = drawn(case, lines, found.look, "linear", monkeypatch)
+    assert parity.passed, parity.summary()
+
+
+@pytest.mark.parametrize(
+    "constant", ["brightness", "shadow", "tint", "background", "width_unit"], ids=str
+)
+@pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
+def test_fault_one_constant_off_by_half_a_percent_is_found(
+    written, monkeypatch, constant: str, depth_format: str
+) -> None:
+    case = scene()
+    lines = export_text(read_fit(written(document_of(ODD, 5.5))), Format.glsl)
+    line = next(line for line in lines.splitlines() if re.match(rf"const \w+ {constant} = ", line))
+    old = re.findall(r"-?\d+\.\d+(?:e-?\d+)?", line.split("//")[0])[-1]
+    faulty = line.replace(old, float_literal(float(old) * 1.005), 1)
+    assert faulty != line
+    assert drawn(case, lines, ODD, depth_format, monkeypatch).passed
+    assert not drawn(case, lines.replace(line, faulty), ODD, depth_format, monkeypatch).passed
+
+
+# --- literals -----------------------------------------------------------------------------------
+
+GLSL_FLOAT = re.compile(r"-?(\d+\.\d+)(e[+-]?\d+)?")
+"""What airlight writes of GLSL 4.60 §4.1.4, floating constants without suffix."""
+
+LITERALS = [
+    (0.0, "0.0"),
+    (-0.0, "-0.0"),
+    (3.0, "3.0"),
+    (-7.0, "-7.0"),
+    (0.1, "0.1"),
+    (1 / 3, "0.33333334"),
+    (1e-30, "1.0e-30"),
+    (1e30, "1.0e+30"),
+    (16777217.0, "1.6777216e+07"),
+    (1.1754944e-38, "1.1754944e-38"),
+    (1e-45, "1.0e-45"),
+    (3.4028235e38, "3.4028235e+38"),
+]
+
+
+@pytest.mark.parametrize(("value", "literal"), LITERALS, ids=[text for _, text in LITERALS])
+def test_literals_are_the_shortest(value: float, literal: str) -> None:
+    assert float_literal(value) == literal
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False, width=32) | st.floats(-1e30, 1e30))
+@example(1e-40)
+@example(-1e-45)
+@example(float(np.finfo(np.float32).max))
+def test_literals_read_back_as_the_same_float32(value: float) -> None:
+    literal = float_literal(value)
+    assert GLSL_FLOAT.fullmatch(literal)
+    assert np.float32(literal).tobytes() == np.float32(value).tobytes()
+
+
+@pytest.mark.parametrize("value", [1e39, -1e300, float("inf"), float("nan")])
+def test_a_literal_beyond_float32_is_refused(value: float) -> None:
+    with pytest.raises(InputError, match="beyond the float32"):
+        float_literal(value)
+
+
+def test_the_driver_reads_literals_as_the_same_float32(rng: np.random.Generator) -> None:
+    """Through a real GLSL compiler, bit for bit. Subnormals may be flushed, so there are none."""
+    odd = [0.1, -0.1, 3, -7, 1e-30, 1e30, 1 / 3, 16777217.0, 1.1754944e-38, 3.4028235e38]
+    drawn_at_random = rng.standard_normal(118) * 10.0 ** rng.integers(-30, 30, 118)
+    values = np.array([*odd, *drawn_at_random])
+    listed = ", ".join(map(float_literal, values))
+    context = gl_context()
+    shader = context.program(
+        vertex_shader="""#version 330
+            void main() {
+                vec2 corner = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0);
+                gl_Position = vec4(corner, 0.0, 1.0);
+            }""",
+        fragment_shader=f"""#version 330
+            const float values[{len(values)}] = float[]({listed});
+            out float value;
+            void main() {{ value = values[int(gl_FragCoord.x)]; }}""",
+    )
+    texture = context.texture((len(values), 1), 1, dtype="f4")
+    context.framebuffer([texture]).use()
+    context.enable_only(0)
+    context.vertex_array(shader, []).render(vertices=3)
+    assert texture.read() == values.astype(np.float32).tobytes()
+
+
+# --- the other formats --------------------------------------------------------------------------
+
+LOOKS = {
+    "odd": ODD,
+    "default": Look(),
+    "one number each": Look(brightness=1e-300, shadow=0.1 + 0.2, background=-5e-324),
+    "integers": Look(brightness=3, shadow=0, tint=(1, 2, 0), background=1e22),
+}
+
+
+@pytest.mark.parametrize("look", LOOKS.values(), ids=LOOKS.keys())
+def test_toml_is_a_look_that_scenes_load_bit_for_bit(written, tmp_path: Path, look: Look) -> None:
+    document = document_of(look, 5.5, photo='odd "name"\n\x7f é.png')
+    document["parameters"] |= {"exposure": entry(1.5), "haze": entry(2.0, role="a\nb")}
+    text = export_text(read_fit(written(document)), Format.toml)
+    rest = "[camera]\nposition=[0,0,3]\nforward=[0,0,-1]\nup=[0,1,0]\nfov_y_deg=50\nwidth=16\n"
+    rest += "height=8\nnear=0.5\nfar=6\n[planet]\nradius=1\n[atmosphere]\nheight=0.2\n"
+    (tmp_path / "scene.toml").write_text(rest + text)
+    loaded = render_gl.load_scene(tmp_path / "scene.toml").look
+    for family in PARAMETERS:
+        mine, theirs = np.asarray(getattr(look, family)), np.asarray(getattr(loaded, family))
+        assert mine.shape == theirs.shape
+        assert mine.tobytes() == theirs.tobytes()
+
+
+def test_json_is_flat_and_ordered(written) -> None:
+    document = document_of(ODD, 5.5, brightness_per_length=0.5)
+    shuffled = dict(reversed(document["parameters"].items()))
+    text = export_text(read_fit(written(document)), Format.json)
+    assert export_text(read_fit(written(document | {"parameters": shuffled})), Format.json) == text
+    flat = json.loads(text)
+    assert flat["brightness"] == float(ODD.brightness)
+    assert flat["tint.g"] == float(ODD.tint[1])
+    assert flat["tint.g.stderr"] == 0.01
+    assert flat["width_unit"] == 5.5
+    assert all(isinstance(value, str | float) for value in flat.values())
+    assert list(flat)[:3] == ["verdict", "brightness", "brightness.stderr"]
+
+
+def test_csv_has_a_row_for_each_number(written) -> None:
+    document = document_of(ODD, 5.5)
+    document["parameters"]['a, "b"\n'] = entry(1.0, stderr=None, free=False)
+    rows = list(csv.DictReader(io.StringIO(export_text(read_fit(written(document)), Format.csv))))
+    assert [row["name"] for row in rows][:2] == ["brightness", "shadow.r"]
+    assert float(rows[0]["value"]) == float(ODD.brightness)
+    assert (rows[0]["stderr"], rows[0]["free"], rows[0]["verdict"]) == ("0.01", "true", "converged")
+    odd = next(row for row in rows if row["name"] == 'a, "b"\n')
+    assert (odd["stderr"], odd["free"]) == ("", "false")
+
+
+# --- what else is in a fit.json -----------------------------------------------------------------
+
+MORE = {
+    "exposure.1": entry(1.0, role="fixed", free=False, stderr=None),
+    "gamma.1": entry(2.2, unit="1"),
+    "black_level.1": entry(0.002, unit="recorded light"),
+    "exposure.2": entry(1.25),
+    "gamma.2": entry(2.2, role="tied", tied_to="gamma.1", free=False, stderr=None),
+    "black_level.2": entry(0.003),
+    "haze": entry(0.25, meaning="ground fog \\"),
+    "halo.r": entry(0.5),
+    "halo.g": entry(0.25),
+    "halo.b": entry(0.125),
+    "glow.r": entry(0.75),
+    "brightness.2": entry(4.5),
+    "float": entry(8.0),
+    "gl__\u00e9_x": entry(16.0),
+    "gl_x": entry(32.0),
+    "\ud800": entry(64.0),
+}
+"""The response of two photos, and names that this version does not know."""
+
+
+@pytest.mark.parametrize("to", list(Format))
+def test_no_parameter_is_lost(written, to: Format) -> None:
+    document = document_of(Look())
+    document["parameters"] |= MORE
+    text = export_text(read_fit(written(document)), to)
+    for known in MORE.values():
+        assert repr(known["value"]) in text
+    text.encode("ascii")
+
+
+def test_response_constants_are_marked_and_named_by_photo(written, monkeypatch) -> None:
+    document = document_of(ODD, 5.5)
+    document["parameters"] |= MORE
+    photos = [{"photo": "a.png", "scene": "a.toml"}, {"photo": "b.png", "scene": "b.toml"}]
+    text = export_text(read_fit(written(document | {"photos": photos})), Format.glsl)
+    look, response = text.split("// Camera response of each photo, not part of the look:")
+    assert "exposure" not in look
+    assert '//   2: "b.png" with "b.toml"' in look
+    names = re.findall(r"const (\w+ \w+) =", response.split("does not know")[0])
+    assert names == [f"float {n}_{k}" for k in "12" for n in ("exposure", "gamma", "black_level")]
+    assert "const float gamma_2 = 2.2;  // tied to gamma.1" in response
+    assert "const vec3 fit_halo = vec3(0.5, 0.25, 0.125);" in response
+    # The whole of it compiles, and the extra lines change nothing.
+    assert drawn(scene(), text, ODD, "linear", monkeypatch).passed
+
+
+def test_glsl_says_where_numbers_come_from_and_what_they_are(written) -> None:
+    document = document_of(Look(), 5.5, explained=0.98765)
+    document["parameters"]["brightness"] = entry(3.0, stderr=0.0123, unit="1/width_unit")
+    document["parameters"]["background"] = entry(0.0, role="held", free=False, stderr=None)
+    text = export_text(read_fit(written(document)), Format.glsl)
+    assert text.startswith('// Look of the air, fitted by airlight to "limb.png" with "limb.toml".')
+    assert "// Verdict: converged.\n// Explains 98.8 % of the light's variance." in text
+    assert "const float brightness = 3.0;  // 1/width_unit, +- 0.012; light per width" in text
+    assert "const vec3 shadow = vec3(0.2);  // +- 0.01; light of shadowed air" in text
+    assert "not told by the photo, start value" in text
+    assert "multiply brightness by your own far - near over this one's" in text
+    assert "const float width_unit = 5.5;" in text
+
+
+def test_schema_1_is_read(written) -> None:
+    document = document_of(Look(), schema=1)
+    document["parameters"]["shadow"] = entry(0.2, stderr=None, free=False)
+    found = read_fit(written(document))
+    shadow = next(number for number in found.numbers if number.name == "shadow")
+    assert isinstance(shadow, Number)
+    assert (shadow.role, shadow.meaning) == ("fixed", PARAMETERS["shadow"].meaning)
+    assert found.scale == ()
+
+
+# --- the command --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("verdict", ["converged", "at_bound"])
+def test_command_prints_the_text(written, capsys, verdict: str) -> None:
+    path = written(document_of(ODD, verdict=verdict))
+    assert airlight("export", path, "--to", "glsl") == 0
+    told = capsys.readouterr()
+    assert told.out == export_text(read_fit(path), Format.glsl)
+    assert f"Verdict: {verdict}" in told.out
+    assert told.err == ""
+
+
+@pytest.mark.parametrize(
+    "verdict", ["not_converged", "not_identifiable", "diverged", "sideways", None, ["x\n"]]
+)
+def test_command_warns_of_another_verdict_in_one_line(written, capsys, verdict: Any) -> None:
+    assert airlight("export", written(document_of(ODD, verdict=verdict)), "--to", "toml") == 0
+    told = capsys.readouterr()
+    assert told.err.startswith("airlight: warning: ")
+    assert told.err.count("\n") == 1
+    assert "Take these numbers with care" in told.out
+    assert "[look]" in told.out
+
+
+def test_command_writes_the_file(written, tmp_path: Path, capsys) -> None:
+    path = written(document_of(ODD))
+    assert airlight("export", path, "--to", "json", "-o", tmp_path / "look.json") == 0
+    assert (tmp_path / "look.json").read_text() == export_text(read_fit(path), Format.json)
+    assert capsys.readouterr() == ("", "")
+
+
+def without(*names: str) -> dict[str, Any]:
+    document = document_of(ODD)
+    for name in names:
+        del document["parameters"][name]
+    return document
+
+
+def changed(name: str, value: Any) -> dict[str, Any]:
+    document = document_of(ODD)
+    document["parameters"][name] = entry(value)
+    return document
+
+
+BAD: dict[str, tuple[str, str]] = {
+    "empty": ("", "is empty"),
+    "no JSON": ("{", "is no JSON file"),
+    "a deep one": ("[" * 100_000, "is no JSON file"),
+    "no text": ("\udcff", "is no JSON file"),
+    "a list": ("[1]", "name a fit.json"),
+    "no parameters": ("{}", "name a fit.json"),
+    "parameters no table": ('{"parameters": [3]}', "name a fit.json"),
+    "no brightness": (json.dumps(without("brightness")), "has no brightness; run the fit again"),
+    "no tint.g": (json.dumps(without("tint.g")), "has tint.r and tint.b only"),
+    "shadow twice": (json.dumps(changed("shadow", 0.2)), "as one number and per channel"),
+    "null": (json.dumps(changed("brightness", None)), "brightness is None, not a finite number"),
+    "NaN": (json.dumps(changed("tint.r", float("nan"))), "tint.r is nan, not a finite number"),
+    "infinite": (json.dumps(changed("haze", float("inf"))), "haze is inf"),
+    "a huge whole number": (json.dumps(changed("haze", 10**400)), "not a finite number"),
+    "text": (json.dumps(changed("haze", "1.0")), "haze is '1.0', not a finite number"),
+    "true": (json.dumps(changed("haze", True)), "haze is True, not a finite number"),
+    "negative brightness": (json.dumps(changed("brightness", -1.0)), "look.brightness: "),
+    "an entry without value": (
+        json.dumps(document_of(ODD) | {"parameters": {"haze": 3.0}}),
+        "haze has no value; run the fit again",
+    ),
+    "no data": (
+        json.dumps(document_of(ODD, verdict="no_data")),
+        "the verdict is no_data (there is nothing to fit)",
+    ),
+    "beyond float32": (json.dumps(changed("brightness", 1e39)), "brightness: 1e+39 is beyond"),
+}
+
+
+@pytest.mark.parametrize(("content", "told"), BAD.values(), ids=BAD.keys())
+def test_bad_files_are_told_in_one_line(tmp_path: Path, capsys, content: str, told: str) -> None:
+    path = tmp_path / "fit.json"
+    path.write_text(content, encoding="utf-8", errors="surrogateescape")
+    assert airlight("export", path, "--to", "glsl", "-o", tmp_path / "out.glsl") == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert "fit.json" in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out.glsl").exists()
+
+
+def test_bad_options_are_told_in_one_line(written, tmp_path: Path, capsys) -> None:
+    path = written(document_of(ODD))
+    before = path.read_bytes()
+    for words, told in (
+        ([tmp_path / "missing.json", "--to", "csv"], "no such file; check the path"),
+        ([tmp_path, "--to", "csv"], "is a folder; name a file in it"),
+        ([path, "--to", "yaml"], "'yaml' is not one of 'glsl', 'json', 'toml', 'csv'"),
+        ([path], "Missing option '--to'"),
+        ([path, "--to", "csv", "-o", tmp_path / "no" / "x.csv"], "no such folder"),
+        ([path, "--to", "csv", "-o", tmp_path], "is no regular file"),
+        ([path, "--to", "csv", "-o", path], "is the fit that is exported"),
+    ):
+        assert airlight("export", *words) == 2
+        error = capsys.readouterr().err
+        assert told in error
+        assert error.count("\n") == 1
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["fit.json"]
+
+
+def test_values_do_not_depend_on_jax_precision(written) -> None:
+    path = written(document_of(ODD, 5.5))
+    with jax.enable_x64(True):
+        wide = export_text(read_fit(path), Format.glsl)
+    assert wide == export_text(read_fit(path), Format.glsl)

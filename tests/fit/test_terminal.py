@@ -1,0 +1,222 @@
+"""The plain-text report, held against golden files: good and bad fits alike.
+
+The documents are made by hand, so that no machine's rounding is in them. To write the golden files
+anew after a wanted change: `python -m tests.fit.test_terminal`.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fit._terminal import fit_text
+
+GOLDEN = Path(__file__).parent / "golden"
+
+
+def row(value: float, stderr: float | None = None, **changes: Any) -> dict[str, Any]:
+    """A parameter of the document; free when it has an error."""
+    reach = None if stderr is None else 1.96 * stderr
+    return {
+        "value": value,
+        "stderr": stderr,
+        "interval": None if reach is None else [value - reach, value + reach],
+        "initial": value,
+        "free": stderr is not None,
+        "role": "fixed" if stderr is None else "free",
+        "unit": "1",
+        "bounds": [0.0, None],
+        "prior": None,
+        "tied_to": None,
+        "quantisation_bound": None,
+        "meaning": "",
+    } | changes
+
+
+def held_response(number: str = "") -> dict[str, dict[str, Any]]:
+    """A response that changes nothing: no line is spent on it."""
+    return {
+        f"exposure{number}": row(1.0),
+        f"gamma{number}": row(1.0),
+        f"black_level{number}": row(0.0, unit="recorded light"),
+    }
+
+
+LOOK = {
+    "brightness": row(3.0123, 0.0034, unit="1/width_unit", initial=1.0, quantisation_bound=0.012),
+    "shadow": row(0.2011, 0.0012, initial=0.5, quantisation_bound=0.0031),
+    "tint.r": row(0.9032, 0.0009, initial=1.0, quantisation_bound=0.0052),
+    "tint.g": row(1.0001, 0.0006, initial=1.0, quantisation_bound=0.0048),
+    "tint.b": row(1.0967, 0.0011, initial=1.0, quantisation_bound=0.0061),
+    "background": row(0.00213, 0.00041, unit="linear light", initial=0.0, bounds=[None, None]),
+}
+PIXELS = {"used": 12345, "total": 172800, "excluded": {"no air": 160455}, "clipped_samples": 0}
+ERRORS = {
+    "noise": 0.00412,
+    "correlation_px": 1.0,
+    "block_px": 8,
+    "blocks": 856,
+    "effective_samples": 37035.0,
+}
+
+
+def document(**changes: Any) -> dict[str, Any]:
+    return {
+        "verdict": "converged",
+        "message": "The fit converged; it explains 99.81 % of the light's variance in the pixels "
+        "used.",
+        "warnings": [],
+        "parameters": LOOK | held_response(),
+        "correlation": {
+            "names": ["brightness", "shadow"],
+            "matrix": [[1.0, -0.31], [-0.31, 1.0]],
+        },
+        "errors": ERRORS,
+        "residual_rms": 0.00418,
+        "explained": 0.9981,
+        "pixels": PIXELS,
+        "left_out": [],
+        "solver": "lm",
+        "loss": "linear",
+        "history": [41.2, 3.2, 0.91, 0.65],
+        "second_opinion": "",
+        "seconds": {"render": 0.25, "reduce": 0.04, "solve": 0.5, "errors": 0.12},
+    } | changes
+
+
+NOTHING = {
+    "errors": None,
+    "correlation": {"names": [], "matrix": []},
+    "residual_rms": None,
+    "explained": None,
+    "history": [],
+}
+
+CASES: dict[str, dict[str, Any]] = {
+    "converged": document(tone_curve="srgb"),
+    "warned": document(
+        message="The fit converged; it explains 54.58 % of the light's variance in the pixels "
+        "used. The background came out negative: the model takes light away.",
+        warnings=["The background came out negative: the model takes light away."],
+        explained=0.5458,
+        parameters=LOOK | {"background": row(-0.155, 0.046, unit="linear light", initial=0.0)},
+        correlation={
+            "names": ["brightness", "background"],
+            "matrix": [[1.0, -0.974], [-0.974, 1.0]],
+        },
+        errors=ERRORS | {"correlation_px": 64.0, "block_px": 64, "effective_samples": 22.4},
+        pixels=PIXELS | {"clipped_samples": 1042},
+    ),
+    "at_bound": document(
+        verdict="at_bound",
+        message="The best fit lies at a bound (shadow); it explains 97.2 % of the light's variance "
+        "in the pixels used. To do: check the alignment of photo and layers, the tone curve and "
+        "the background.",
+        parameters=LOOK | {"shadow": row(0.0, role="at_bound", free=True, initial=0.5)},
+    ),
+    "not_identifiable": document(
+        verdict="not_identifiable",
+        message="The photo cannot tell all that was asked; left out: exposure. To do: hold what is "
+        "named in left_out, or use a photo that shows it.",
+        parameters=LOOK | held_response() | {"exposure": row(1.0, role="held")},
+        left_out=[
+            {
+                "what": "exposure",
+                "why": "the photo tells brightness and exposure only as a product; fix one or add "
+                "a photo of another exposure that is known; held at its start value",
+            }
+        ],
+    ),
+    "not_converged": document(
+        verdict="not_converged",
+        message="The solver stopped before the best fit. To do: use solver 'lm' or allow more "
+        "steps.",
+        solver="nelder_mead",
+        history=[41.2, 40.9],
+        second_opinion="lower",
+    ),
+    "diverged": document(
+        verdict="diverged",
+        message="The solver ran off to infinity. To do: use solver 'lm' and check the photo's "
+        "values.",
+        parameters={
+            name: row(e["initial"], unit=e["unit"], role="held") for name, e in LOOK.items()
+        },
+        solver="gauss_newton",
+        **NOTHING,
+    ),
+    "no_data": document(
+        verdict="no_data",
+        message="There is nothing to fit: no pixel can be used (172800 masked). To do: check the "
+        "mask, the alignment of photo and layers, and the exposure.",
+        parameters={name: row(e["initial"], unit=e["unit"]) for name, e in LOOK.items()},
+        pixels={
+            "used": 0,
+            "total": 172800,
+            "excluded": {"masked": 172800},
+            "clipped_samples": 0,
+        },
+        seconds={},
+        **NOTHING,
+    ),
+    "several_photos": document(
+        parameters=LOOK
+        | held_response(".1")
+        | {
+            "black_level.1": row(0.00999, 0.00004, unit="recorded light", initial=0.0),
+            "exposure.2": row(0.599972, 0.000085, prior=[0.6, 0.02]),
+            "gamma.2": row(1.0, tied_to="gamma.1", role="tied"),
+            "black_level.2": row(0.020047, 0.000035, unit="recorded light", initial=0.0),
+        },
+        photos=[
+            {"pixels": PIXELS, "residual_rms": 0.00418, "explained": 0.9995, "tone_curve": "srgb"},
+            {
+                "pixels": PIXELS | {"used": 21004, "clipped_samples": 39},
+                "residual_rms": 0.00414,
+                "explained": 0.9981,
+                "tone_curve": {"exposure": 1.5, "gamma": 2.2},
+            },
+        ],
+        second_opinion="same",
+    ),
+    "robust": document(
+        loss="cauchy",
+        parameters=LOOK
+        | {
+            "brightness": row(
+                2.99983, 0.00041, unit="1/width_unit", prior=[3.0, 0.5], bounds=[0.0, 5.0]
+            )
+        },
+        errors=ERRORS | {"correlation_px": 42.0, "block_px": 80, "blocks": 20},
+        second_opinion="same",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_reports_are_the_golden_ones(name: str) -> None:
+    assert fit_text(CASES[name]) == (GOLDEN / f"{name}.txt").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("width", [60, 80, 100, 140])
+@pytest.mark.parametrize("name", CASES)
+def test_no_line_is_wider_than_the_terminal(name: str, width: int) -> None:
+    text = fit_text(CASES[name], width)
+    assert max(map(len, text.splitlines())) <= width
+    for parameter in ("brightness", "tint.g"):
+        assert parameter in text
+
+
+def test_every_golden_file_is_of_a_case() -> None:
+    assert {path.stem for path in GOLDEN.iterdir()} == set(CASES)
+
+
+def write_golden() -> None:
+    """Write what the reports are now; look at the difference before it is kept."""
+    GOLDEN.mkdir(exist_ok=True)
+    for name, made in CASES.items():
+        (GOLDEN / f"{name}.txt").write_text(fit_text(made), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write_golden()
