@@ -31,7 +31,17 @@ from ._parameters import (
     to_responses,
 )
 from ._photo import Photo
-from ._pixels import Columns, PhotoLike, Pixels, as_picture, choose_pixels, take_columns, to_samples
+from ._pixels import (
+    Columns,
+    PhotoLike,
+    Pixels,
+    as_picture,
+    choose_pixels,
+    light_at,
+    size_of,
+    take_columns,
+    to_samples,
+)
 from ._result import (
     STRUCTURED_PX,
     VERDICTS,
@@ -236,7 +246,7 @@ class _Task:
 
     @property
     def sizes(self) -> list[tuple[int, int]]:
-        return [(p.shape[0], p.shape[1]) for p in map(as_picture, self.photos)]
+        return [size_of(photo) for photo in self.photos]
 
 
 @dataclass(frozen=True)
@@ -431,7 +441,7 @@ def _no_data(
         if c.clipped is not None and not measured.any():
             what = "saturated" if (c.clipped > 0).any() else "black"
             return f"{which}the photo is {what} where the air is"
-        if not as_picture(photo)[px.used].any():
+        if not light_at(photo, c.index).any():
             return f"{which}the photo is black where the air is"
         light = np.where(measured, c.light, np.nan)
         constant = not (np.nanmax(light, axis=0) > np.nanmin(light, axis=0)).any()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt, UInt8
+from jaxtyping import Bool, Float, Int, UInt, UInt8
 from PIL import ExifTags, Image, ImageFile, UnidentifiedImageError
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
@@ -36,25 +36,52 @@ REASONS = ("masked", "not finite")
 
 @dataclass(frozen=True)
 class Photo:
-    """A photo in linear light.
+    """A photo: what is stored, and what it says of linear light.
 
-    `linear` is float32 in [0, 1] for integer photos and as stored otherwise: float32's relative
-    rounding of 2^-24 is 1/256 of half a step of a 16-bit code. A sample at the highest code whose
-    linear light would be infinite holds the light half a code below it. `bits` is the depth of the
-    stored code, 32 for float.
+    `bits` is the depth of the stored code, 32 for float.
     """
 
     path: Path
-    linear: Float[np.ndarray, "h w 3"]
+    stored: UInt[np.ndarray, "h w 3"] | Float[np.ndarray, "h w 3"]
+    """Codes, or linear light of float photos."""
     reason: UInt8[np.ndarray, "h w"]
     """0: the pixel counts; else 1 + the index in `REASONS` of the first that applies."""
     tone_curve: ToneCurve
     bits: int
-    codes: UInt[np.ndarray, "h w 3"] | None
-    """As stored; None for float photos."""
+    light: Float[np.ndarray, " codes"] | None
+    """Linear light of each code; None for float photos. Float32's relative rounding of 2^-24 is
+    1/256 of half a step of a 16-bit code."""
     half_steps: Float[np.ndarray, " codes"] | None
     """Half a code step in linear light for each code; covers rounding to codes only, not JPEG's
     losses. None for float photos."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width."""
+        return self.reason.shape
+
+    @property
+    def codes(self) -> UInt[np.ndarray, "h w 3"] | None:
+        """As stored; None for float photos."""
+        return None if self.light is None else self.stored
+
+    @property
+    def linear(self) -> Float[np.ndarray, "h w 3"]:
+        """Linear light, float32: in [0, 1] for integer photos, as stored otherwise.
+
+        Of codes it is made anew each time; large photos are better asked for parts.
+        """
+        return self[...]
+
+    def __getitem__(self, part: Any) -> Float[np.ndarray, "..."]:
+        """Linear light of a part, by what would index an array [h, w, 3]."""
+        stored: np.ndarray = self.stored[part]
+        return stored if self.light is None else self.light[stored]
+
+    def linear_at(self, index: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+        """Linear light of the pixels of flat indices."""
+        stored: np.ndarray = self.stored.reshape(-1, 3)[index]
+        return stored if self.light is None else self.light[stored]
 
     @property
     def valid(self) -> Bool[np.ndarray, "h w"]:
@@ -107,25 +134,24 @@ def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None 
     else:
         curve = parse_tone_curve(tone_curve)
     stored = _three_channels(file, stored)
-    codes: np.ndarray | None = None
-    half_step: np.ndarray | None = None
+    light: np.ndarray | None = None
+    half_steps: np.ndarray | None = None
+    reason = np.zeros(stored.shape[:2], dtype=np.uint8)
     if bits is None:
-        linear = _decode_float(stored, curve)
+        stored = _decode_float(stored, curve)
+        reason[~np.isfinite(stored).all(axis=-1)] = 1 + REASONS.index("not finite")
     else:
-        light, half_step = _code_tables(curve, bits)
-        linear, codes = light[stored], stored
-    reason = np.zeros(linear.shape[:2], dtype=np.uint8)
-    reason[~np.isfinite(linear).all(axis=-1)] = 1 + REASONS.index("not finite")
+        light, half_steps = _code_tables(curve, bits)
     if mask is not None:
         reason[~_read_mask(mask, file, stored)] = 1 + REASONS.index("masked")
     return Photo(
         path=file,
-        linear=linear,
+        stored=stored,
         reason=reason,
         tone_curve=curve,
         bits=32 if bits is None else bits,
-        codes=codes,
-        half_steps=half_step,
+        light=light,
+        half_steps=half_steps,
     )
 
 
@@ -133,6 +159,8 @@ def _code_tables(
     curve: ToneCurve, bits: int
 ) -> tuple[Float[np.ndarray, " codes"], Float[np.ndarray, " codes"]]:
     """Linear light and half a code step in it for each code, decoded in float64, kept as float32.
+
+    A highest code whose light would be infinite has the light half a code below it.
 
     Half a step is half the difference of the light half a code above and below; at the first and
     the last code, where nothing is stored beyond, the step on the one side there is.

@@ -23,6 +23,8 @@ from PIL import Image
 
 from model_jax import Linear, Srgb, ToneCurve
 
+from ._photo import Photo
+
 MAX_WIDTH = 1200
 """Pixels across a picture at most: what a wide screen shows of it enlarged."""
 RESIDUAL, INFLUENCE, WEIGHT = "RdBu_r", "PuOr_r", "cividis"
@@ -53,7 +55,7 @@ class Display:
         return np.round(np.nan_to_num(shown) * 255).astype(np.uint8)
 
 
-def display_of(photo: Float[np.ndarray, "h w 3"], curve: ToneCurve) -> Display:
+def display_of(photo: Float[np.ndarray, "h w 3"] | Photo, curve: ToneCurve) -> Display:
     """The photo's own tone curve; linear photos are shown through sRGB, which screens expect, and
     scaled when their light goes beyond 1 or stays below 0.1."""
     if not isinstance(curve, Linear):
@@ -71,7 +73,7 @@ def display_of(photo: Float[np.ndarray, "h w 3"], curve: ToneCurve) -> Display:
     return Display(Srgb(), scale, f"linear light × {scale:g}, shown through sRGB")
 
 
-def picture(linear: Float[np.ndarray, "h w 3"], display: Display, budget: int) -> str:
+def picture(linear: Float[np.ndarray, "h w 3"] | Photo, display: Display, budget: int) -> str:
     """A picture as PNG, averaged over areas of linear light to at most `MAX_WIDTH` and `budget`
     bytes."""
 
@@ -134,7 +136,7 @@ class Window:
     height: int
     width: int
 
-    def of(self, image: np.ndarray) -> np.ndarray:
+    def of(self, image: np.ndarray | Photo) -> np.ndarray:
         return image[self.top : self.top + self.height, self.left : self.left + self.width]
 
 
@@ -187,18 +189,20 @@ class Profile:
 
 
 def profiles(
-    photo: Float[np.ndarray, "h w 3"],
+    photo: Float[np.ndarray, "h w 3"] | Photo,
     model: Float[np.ndarray, "h w 3"],
     height: Float[np.ndarray, "h w"],
     groups: dict[str, Bool[np.ndarray, "h w"]],
 ) -> list[Profile]:
     """Profiles of the groups that have pixels of known height and finite light."""
-    finite = np.isfinite(height) & np.isfinite(photo).all(-1) & np.isfinite(model).all(-1)
-    return [
-        _profile(name, photo[chosen], model[chosen], height[chosen])
-        for name, group in groups.items()
-        if (chosen := group & finite).any()
-    ]
+    found = []
+    for name, group in groups.items():
+        chosen = group & np.isfinite(height)
+        seen, made, tall = photo[chosen], model[chosen], height[chosen]
+        finite = np.isfinite(seen).all(axis=-1) & np.isfinite(made).all(axis=-1)
+        if finite.any():
+            found.append(_profile(name, seen[finite], made[finite], tall[finite]))
+    return found
 
 
 def profile_pictures(found: list[Profile], theme: str) -> list[tuple[str, str]]:

@@ -71,6 +71,18 @@ def as_picture(photo: PhotoLike) -> np.ndarray:
     return picture
 
 
+def size_of(photo: PhotoLike) -> tuple[int, int]:
+    """Height and width. Raises as `as_picture`."""
+    return photo.shape if isinstance(photo, Photo) else as_picture(photo).shape[:2]
+
+
+def light_at(photo: PhotoLike, index: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    """Linear light of the pixels of flat indices."""
+    if isinstance(photo, Photo):
+        return photo.linear_at(index)
+    return as_picture(photo).reshape(-1, 3)[index]
+
+
 def choose_pixels(photo: PhotoLike, layers: Layers) -> Pixels:
     """The pixels that a fit uses.
 
@@ -81,8 +93,7 @@ def choose_pixels(photo: PhotoLike, layers: Layers) -> Pixels:
     Raises:
         InputError: photo and layers differ in size; a photo of a wrong shape or type.
     """
-    picture = as_picture(photo)
-    size, layers_size = picture.shape[:2], np.shape(layers.front)
+    size, layers_size = size_of(photo), np.shape(layers.front)
     if size != layers_size:
         raise InputError(
             f"photo: is {size[1]}×{size[0]}, the layers are {layers_size[1]}×{layers_size[0]}; "
@@ -99,7 +110,7 @@ def choose_pixels(photo: PhotoLike, layers: Layers) -> Pixels:
     if isinstance(photo, Photo):
         reasons |= {name: photo.reason == k + 1 for k, name in enumerate(REASONS)}
     else:
-        reasons["not finite"] = ~np.isfinite(picture).all(axis=-1)
+        reasons["not finite"] = ~np.isfinite(as_picture(photo)).all(axis=-1)
     reasons["layers not finite"] = ~_finite(layers)
     used = np.ones(size, dtype=bool)
     excluded: dict[str, int] = {}
@@ -117,7 +128,6 @@ def take_columns(photo: PhotoLike, layers: Layers, pixels: Pixels, width_unit: f
     are the exact widths of the stored depths. A sample at a photo's highest code is known to be at
     least the light half a code below it, one at code 0 at most the light half a code above.
     """
-    picture = as_picture(photo).reshape(-1, 3)
     index = np.flatnonzero(pixels.used)
     clipped = None
     if isinstance(photo, Photo) and photo.codes is not None:
@@ -125,7 +135,7 @@ def take_columns(photo: PhotoLike, layers: Layers, pixels: Pixels, width_unit: f
     if clipped is not None:
         last = np.argsort(clipped.any(axis=1), kind="stable")
         index, clipped = index[last], clipped[last]
-    light = picture[index].astype(np.float64)
+    light = light_at(photo, index).astype(np.float64)
     if clipped is not None and isinstance(photo, Photo):
         black, white = photo.limits
         light = np.where(clipped > 0, white, np.where(clipped < 0, black, light))

@@ -19,6 +19,7 @@ from model_jax import ToneCurve
 from model_jax._shapes import AnyArray, Depth, Mask, Rgb
 
 from . import _pictures as pictures
+from ._photo import Photo
 from ._result import WELL_EXPLAINED
 from ._wording import (
     SECOND_OPINIONS,
@@ -109,7 +110,7 @@ def report_html(document: dict[str, Any], sections: Sequence[Section], command: 
 
 def photo_section(
     name: str,
-    photo: Rgb,
+    photo: Rgb | Photo,
     picture: Rgb,
     used: Mask,
     height: Depth | None,
@@ -135,7 +136,8 @@ def photo_section(
         weights: how much a robust loss believed each pixel; None where the loss is not robust.
         count: number of photos on the page, which share its size.
     """
-    light, model, mask = np.asarray(photo), np.asarray(picture), np.asarray(used)
+    light = photo if isinstance(photo, Photo) else np.asarray(photo)
+    model, mask = np.asarray(picture), np.asarray(used)
     shade = None if shadowed is None else np.asarray(shadowed)
     return {
         "name": name,
@@ -176,7 +178,7 @@ class Panel:
 
 
 def _look_at(
-    photo: np.ndarray, model: np.ndarray, used: np.ndarray, curve: ToneCurve, count: int
+    photo: np.ndarray | Photo, model: np.ndarray, used: np.ndarray, curve: ToneCurve, count: int
 ) -> dict[str, Any]:
     """Everything the picture sections need."""
     display = pictures.display_of(photo, curve)
@@ -286,7 +288,7 @@ def _weights(
 
 
 def _profile(
-    photo: np.ndarray,
+    photo: np.ndarray | Photo,
     model: np.ndarray,
     used: np.ndarray,
     height: Depth | None,

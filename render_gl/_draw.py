@@ -54,12 +54,13 @@ class Frame:
 
     air: Float[np.ndarray, "h w 4"]
     """The combine shader's output."""
-    depths: Float[np.ndarray, "h w 4"]
-    """What it read: front, back, shadow front, shadow back; equal front and back without air."""
-    surface: Float[np.ndarray, "h w 4"]
-    """Light of the planet, and 1 in alpha where it was drawn."""
-    shadow: bool
-    """Whether the shadow passes were drawn; without them the shadow depths mean nothing."""
+    depths: tuple[Float[np.ndarray, "h w"], ...]
+    """What it read: front, back and, if the shadow passes were drawn, shadow front, shadow back;
+    equal front and back without air."""
+    surface: Float[np.ndarray, "h w 3"] | None
+    """Light of the planet; None where it has no albedo."""
+    planet: Float[np.ndarray, "h w"]
+    """1 where the planet was drawn."""
 
 
 def draw(scene: Scene, look: Look, depth_format: DepthFormat) -> Frame:
@@ -119,15 +120,25 @@ class _Passes:
         """All passes, band by band, and what they left."""
         width, height = self.scene.camera.width, self.scene.camera.height
         rows = max(BAND // width // 64, 1) * 64  # even: derivatives are taken in squares of pixels
-        images = [np.empty((height, width, 4), np.float32) for _ in range(3)]
+        size = (height, width)
+        air = np.empty((*size, 4), np.float32)
+        depths = [np.empty(size, np.float32) for _ in range(4 if self.shadowed else 2)]
+        lit = self.scene.planet.albedo is not None
+        surface = np.empty((*size, 3), np.float32) if lit else None
+        planet = np.empty(size, np.float32)
         maps = _upload_maps(self.context, self.scene)
         for self.bottom in range(0, height, rows):
             self.size = (width, min(rows, height - self.bottom))
             band = slice(height - self.bottom - self.size[1], height - self.bottom)
-            for image, texture in zip(images, self._band(maps), strict=True):
-                image[band] = _read(texture)
+            drawn, seen, ground = map(_read, self._band(maps))
+            air[band] = drawn
+            for k, depth in enumerate(depths):
+                depth[band] = seen[..., k]
+            if surface is not None:
+                surface[band] = ground[..., :3]
+            planet[band] = ground[..., 3]
             self.context.gc()
-        return Frame(*images, self.shadowed)
+        return Frame(air, tuple(depths), surface, planet)
 
     def _band(self, maps: dict[str, Any]) -> tuple[Any, Any, Any]:
         """Air, depths and surface of a band."""

@@ -33,23 +33,22 @@ def render_image(scene: Scene, look: Look, depth_format: DepthFormat = "window24
     1 in front of the planet, the air's where there is air, else 0. Raises as `render`.
     """
     frame = draw(scene, look, depth_format)
-    rgb = frame.air[..., :3] + frame.surface[..., :3] + np.asarray(look.background, np.float32)
-    alpha = np.maximum(frame.air[..., 3], frame.surface[..., 3])
+    rgb = frame.air[..., :3] + np.asarray(look.background, np.float32)
+    if frame.surface is not None:
+        rgb += frame.surface
+    alpha = np.maximum(frame.air[..., 3], frame.planet)
     return np.concatenate([rgb, alpha[..., None]], axis=-1)
 
 
 def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layers:
     """The layers whose depths a frame's combine shader read."""
     camera = scene.camera
-    # Copies: a view of one channel would keep all four.
-    front, back, shadow_front, shadow_back = (
-        np.ascontiguousarray(frame.depths[..., k]) for k in range(4)
-    )
+    front, back, *shadow = frame.depths
     textures = DepthTextures(
         front=front,
         back=back,
-        shadow_front=shadow_front if frame.shadow else None,
-        shadow_back=shadow_back if frame.shadow else None,
+        shadow_front=shadow[0] if shadow else None,
+        shadow_back=shadow[1] if shadow else None,
         near=camera.near,
         far=camera.far,
         linear=depth_format == "linear",
@@ -61,8 +60,8 @@ def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layer
         back=layers.back,
         shadow_front=layers.shadow_front,
         shadow_back=layers.shadow_back,
-        surface=frame.surface[..., :3] if scene.planet.albedo is not None else None,
-        planet=np.ascontiguousarray(frame.surface[..., 3]),
+        surface=frame.surface,
+        planet=frame.planet,
         color=scene.atmosphere.color,
         reference=layers.reference,
         width_unit=layers.width_unit,

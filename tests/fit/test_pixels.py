@@ -46,11 +46,11 @@ def photo_of(linear: np.ndarray, masked: np.ndarray, codes: np.ndarray | None = 
     reason = np.where(np.isfinite(linear).all(axis=-1), 0, 1 + REASONS.index("not finite"))
     return Photo(
         path=Path("made.png"),
-        linear=linear,
+        stored=linear if codes is None else codes,
         reason=np.where(masked, 1 + REASONS.index("masked"), reason).astype(np.uint8),
         tone_curve=Linear(),
         bits=32 if codes is None else 8,
-        codes=codes,
+        light=None if codes is None else np.arange(256, dtype=np.float32) / 255,
         half_steps=None if codes is None else np.full(256, 0.5 / 255, np.float32),
     )
 

@@ -156,11 +156,11 @@ def tiny() -> tuple[Layers, Photo]:
     codes = np.round(light * 65535).astype(np.uint16)
     photo = Photo(
         path=Path("tiny.png"),
-        linear=codes / 65535,
+        stored=codes,
         reason=np.zeros(TINY, np.uint8),
         tone_curve=Linear(),
         bits=16,
-        codes=codes,
+        light=np.arange(65536) / 65535,
         half_steps=np.full(65536, 0.5 / 65535),
     )
     return layers, photo
@@ -181,7 +181,7 @@ def test_rounding_bound_is_reached(tiny: tuple[Layers, Photo]) -> None:
         assert bound > 0
 
         def moved(pattern: np.ndarray, name: str = name) -> float:
-            shifted = replace(photo, linear=photo.linear + pattern * (0.5 / 65535))
+            shifted = photo.linear + pattern * (0.5 / 65535)
             value = fit(shifted, layers, TINY_LOOK, free=FREE).parameters[name].value
             return float(value - result.parameters[name].value)
 
