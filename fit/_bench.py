@@ -46,7 +46,7 @@ from model_jax import (
 from ._fit import fit
 from ._loss import Loss
 from ._parameters import declare, directions, to_entries
-from ._pixels import Columns, choose_pixels, take_columns, to_samples
+from ._pixels import Columns, choose_pixels, on_device, take_columns, to_samples
 from ._result import FitResult
 from ._search import Problem, search, state
 from ._solve import exact_gram
@@ -203,8 +203,7 @@ def _solve(
 
 def _problem(columns: Columns, more: tuple[str, ...]) -> tuple[Problem, Any]:
     parameters = declare(Look(1.0, 0.5), [Response()], free=(*FREE, *more))
-    with jax.enable_x64(True):
-        samples = jax.tree.map(jnp.asarray, to_samples([columns]))
+    samples = on_device(to_samples([columns]))
     model = Model(Loss("linear"), None, not more)
     return state((columns,), samples, parameters, model), parameters
 
@@ -264,7 +263,8 @@ def _dense(columns: Columns, start: Float[np.ndarray, "4"]) -> Float[np.ndarray,
     """optimistix as its documentation shows it: all residuals in one array, float32."""
     dark = columns.dark if columns.dark is not None else np.zeros_like(columns.lit)
     arrays = (columns.lit, dark, columns.light, columns.color)
-    return np.asarray(_dense_run(*(jnp.asarray(a, jnp.float32) for a in (*arrays, start))))
+    with jax.enable_x64(False):  # the command line switches it on
+        return np.asarray(_dense_run(*(jnp.asarray(a, jnp.float32) for a in (*arrays, start))))
 
 
 @jax.jit

@@ -10,12 +10,14 @@ from itertools import pairwise
 from time import perf_counter
 from typing import Any, overload
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from model_jax import InputError, Layers, Look, Response
+from model_jax._shapes import AnyArray
 
 from ._bare_limb import EVIDENCE, find_air
 from ._loss import Loss, LossName, check_loss, weigh
@@ -38,6 +40,8 @@ from ._pixels import (
     as_picture,
     choose_pixels,
     light_at,
+    on_device,
+    share_widths,
     size_of,
     take_columns,
     to_samples,
@@ -184,6 +188,7 @@ def fit(
     if why_not:
         return _without_data(why_not, task, pixels, columns, left_out)
     problem = _problem(task, columns)
+    columns = problem.columns
     times.append(perf_counter())
     problem, end = _rounds(task, problem, asked)
     times.append(perf_counter())
@@ -258,7 +263,6 @@ class Evidence:
     end: End
     along: Float[np.ndarray, "e p"]
     told: tuple[Parameter, ...]
-    residuals: list[Float[np.ndarray, "_ 3"]]
     spread: Spread
 
     def to_told(self) -> Float[np.ndarray, "t p"]:
@@ -285,7 +289,8 @@ class Evidence:
         """`FitResult.weights` for all photos."""
         found = []
         sizes = self.task.sizes
-        for c, size, residual in zip(self.problem.columns, sizes, self.residuals, strict=True):
+        residuals = _residuals(self.problem, self.end)
+        for c, size, residual in zip(self.problem.columns, sizes, residuals, strict=True):
             weights = np.full(size, np.nan, np.float32)
             believed = _believed(residual, self.problem.model.loss)
             weights.reshape(-1)[c.index] = believed.min(axis=-1)
@@ -293,10 +298,26 @@ class Evidence:
         return found
 
 
+_CHUNK = 65536
+
+
 def _believed(residual: Float[np.ndarray, "n 3"], loss: Loss) -> Float[np.ndarray, "n 3"]:
     """Weight that a loss gives to samples, 0 to 1; 1 for clipped ones."""
+    if loss.name == "linear":
+        return np.broadcast_to(1.0, residual.shape)
+    found = np.empty_like(residual)
+    piece = np.zeros((_CHUNK, 3))  # of one size, so that JAX compiles once
     with jax.enable_x64(True):
-        return np.asarray(weigh(jnp.asarray(np.nan_to_num(residual)), None, loss)[2])
+        for start in range(0, len(residual), _CHUNK):
+            part = np.nan_to_num(residual[start : start + _CHUNK])
+            piece[: len(part)] = part
+            found[start : start + _CHUNK] = np.asarray(_belief(piece, loss))[: len(part)]
+    return found
+
+
+@eqx.filter_jit
+def _belief(residual: Float[AnyArray, "n 3"], loss: Loss) -> Float[jax.Array, "n 3"]:
+    return weigh(jnp.asarray(residual), None, loss)[2]
 
 
 def _pairs(
@@ -326,9 +347,9 @@ def _problem(task: _Task, columns: tuple[Columns, ...]) -> Problem:
     free = [p for p in task.parameters if p.role != "fixed"]
     gammas = [p for p in task.parameters if p.family == "gamma"]
     linear = not any(p in free for p in gammas) and all(p.value == 1 for p in gammas)
-    with jax.enable_x64(True):
-        samples = jax.device_put(to_samples(columns), may_alias=True)
-    return state(columns, samples, task.parameters, Model(Loss("linear"), None, linear))
+    samples = to_samples(columns)
+    columns = share_widths(columns, samples)
+    return state(columns, on_device(samples), task.parameters, Model(Loss("linear"), None, linear))
 
 
 def _rounds(task: _Task, problem: Problem, asked: tuple[Parameter, ...]) -> tuple[Problem, End]:
@@ -379,13 +400,20 @@ def _noise(
     1974). Never quite zero: a prior and a bound need something to be measured in.
     """
     least = 1e-9 * problem.light_max
+    if task.loss == "linear":
+        counted = [_square_sum(r[:, k]) for r in residuals for k in range(3)]
+        known, square_sum = np.sum(counted, axis=0)
+        return max(float(np.sqrt(square_sum / max(known - len(end.free), 1))), least)
     known = np.concatenate([r[np.isfinite(r)] for r in residuals])
     if not known.size:
         return least
-    if task.loss == "linear":
-        freedom = max(known.size - len(end.free), 1)
-        return max(float(np.sqrt((known**2).sum() / freedom)), least)
     return max(1.4826 * float(np.median(np.abs(known))), least)
+
+
+def _square_sum(values: Float[np.ndarray, " n"]) -> tuple[int, float]:
+    """Number and square sum of what is no NaN."""
+    known = values[np.isfinite(values)].astype(np.float64)
+    return len(known), float(known @ known)
 
 
 def _prior(asked: Sequence[Parameter], noise: float, size: int) -> Prior | None:
@@ -489,7 +517,7 @@ def _judge(
             residuals,
             noise,
         )
-        evidence = Evidence(task, problem, end, along, told, residuals, spread)
+        evidence = Evidence(task, problem, end, along, told, spread)
         rows = evidence.to_told()
         covariance = rows @ spread.covariance @ rows.T
         reach = reach_95(spread.freedom(rows))
@@ -617,19 +645,21 @@ def _photo_results(
     for c, px, layers, residual, response in zip(
         problem.columns, pixels, task.layers, residuals, to_responses(end.vector), strict=True
     ):
-        measured = np.isfinite(residual)
-        believed = measured & (_believed(residual, problem.model.loss) > BELIEVED)
-        n = np.maximum(believed.sum(axis=0), 1)
-        mean = np.where(believed, c.light, 0).sum(axis=0) / n
-        total = float((np.where(believed, c.light - mean, 0) ** 2).sum())
-        left = float((residual[believed] ** 2).sum())
-        square_sum = float((residual[measured] ** 2).sum())
+        believed = _believed(residual, problem.model.loss) > BELIEVED
+        count, square_sum, left, total = 0, 0.0, 0.0, 0.0
+        for k in range(3):
+            count_here, square_sum_here = _square_sum(residual[:, k])
+            count, square_sum = count + count_here, square_sum + square_sum_here
+            known = believed[:, k] & np.isfinite(residual[:, k])
+            light = c.light[known, k].astype(np.float64)
+            total += _square_sum(light - light.mean() if len(light) else light)[1]
+            left += _square_sum(residual[known, k])[1]
         found.append(
             PhotoResult(
                 used=px.used,
                 excluded=px.excluded,
                 clipped=0 if c.clipped is None else int((c.clipped != 0).sum()),
-                residual_rms=float(np.sqrt(square_sum / max(measured.sum(), 1))),
+                residual_rms=float(np.sqrt(square_sum / max(count, 1))),
                 explained=1 - left / total if total > 0 and end.finite else None,
                 response=response,
                 width_unit=float(layers.width_unit),

@@ -5,7 +5,7 @@ the planet looks like. What is left goes, photo by photo, into the tiles of `_st
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -38,14 +38,14 @@ class Pixels:
 
 @dataclass(frozen=True)
 class Columns:
-    """The used pixels of one photo, float64. Widths in `width_unit`s of the first photo."""
+    """The used pixels of one photo, float64; widths in `width_unit`s of the first photo."""
 
     index: Int[np.ndarray, " n"]
     """Flat index of each in its photo; row by row, but those with a clipped sample last."""
     lit: Float[np.ndarray, " n"]
     dark: Float[np.ndarray, " n"] | None
     light: Float[np.ndarray, "n 3"]
-    """What the photo recorded; for a clipped sample the bound that it tells."""
+    """What the photo recorded, float32 of codes; for a clipped sample the bound that it tells."""
     surface: Float[np.ndarray, "n 3"] | None
     clipped: Int8[np.ndarray, "n 3"] | None
     """1: at least this bright, -1: at most, 0: measured; None: all are measured."""
@@ -128,14 +128,15 @@ def take_columns(photo: PhotoLike, layers: Layers, pixels: Pixels, width_unit: f
     are the exact widths of the stored depths. A sample at a photo's highest code is known to be at
     least the light half a code below it, one at code 0 at most the light half a code above.
     """
-    index = np.flatnonzero(pixels.used)
+    index = np.flatnonzero(pixels.used).astype(np.int32)  # `load_photo` reads fewer than 2^28
     clipped = None
     if isinstance(photo, Photo) and photo.codes is not None:
         clipped = _clipped(photo, index)
     if clipped is not None:
         last = np.argsort(clipped.any(axis=1), kind="stable")
         index, clipped = index[last], clipped[last]
-    light = light_at(photo, index).astype(np.float64)
+    light = light_at(photo, index)
+    light = light.astype(np.result_type(light, np.float32), copy=False)
     if clipped is not None and isinstance(photo, Photo):
         black, white = photo.limits
         light = np.where(clipped > 0, white, np.where(clipped < 0, black, light))
@@ -187,7 +188,7 @@ def to_samples(
     return Samples(
         lit=fill([c.lit for c in columns], False),
         dark=fill([c.dark for c in columns], False),
-        light=fill([c.light for c in columns], True),
+        light=fill([c.light for c in columns], True, np.result_type(*(c.light for c in columns))),
         surface=fill([c.surface for c in columns], True),
         clipped=fill([c.clipped for c in columns], True, np.int8),
         one=None,
@@ -197,6 +198,25 @@ def to_samples(
         used=np.asarray(sum(tiles), np.int32),
         color=np.stack([c.color for c in columns]),
     )
+
+
+def share_widths(columns: Sequence[Columns], samples: Samples) -> tuple[Columns, ...]:
+    """The same columns, whose widths are views of the samples' own: large photos have many."""
+    shared = []
+    start, tile = 0, samples.lit.shape[1]
+    for c in columns:
+        part = slice(start, start + len(c.lit))
+        dark = None if c.dark is None else np.asarray(samples.dark).reshape(-1)[part]
+        shared.append(replace(c, lit=np.asarray(samples.lit).reshape(-1)[part], dark=dark))
+        start += -(-len(c.lit) // tile) * tile
+    return tuple(shared)
+
+
+def on_device(samples: Samples) -> Samples:
+    """Samples as JAX arrays, float64; on a CPU without a copy, so leave the NumPy ones alone."""
+    with jax.enable_x64(True):
+        moved: Samples = jax.device_put(samples, may_alias=True)
+    return moved
 
 
 def _aligned_zeros(shape: tuple[int, ...], dtype: Any) -> np.ndarray:

@@ -110,8 +110,13 @@ def state(
         parameters=parameters,
         model=model,
         count=3 * sum(len(c.lit) for c in columns) - clipped,
-        light_max=max(float(np.abs(c.light).max(initial=0.0)) for c in columns),
+        light_max=max(_largest(c.light) for c in columns),
     )
+
+
+def _largest(values: np.ndarray) -> float:
+    """Largest absolute value; 0 of none."""
+    return max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
 
 
 def _few(columns: tuple[Columns, ...], samples: Samples, model: Model) -> Samples:
@@ -184,9 +189,8 @@ def search(
         first = first or descent
         if not descent.finite:
             return _diverged(held, free, at_bound, flat, first)
-        vector = _finish(problem, descent.entries, free)
+        vector, gram = _finish(problem, descent.entries, free)
         along, moved = directions(free, parameters)
-        gram = problem.gram(vector, along)
         if not np.isfinite(gram).all():
             return _diverged(vector, free, at_bound, flat, first)
         found = find_flat(problem, vector, free, gram, along, moved)
@@ -282,29 +286,28 @@ def _inside(vector: Entries, free: Sequence[Parameter], parameters: Sequence[Par
     return settle_tint(clipped, free, parameters)
 
 
-def _finish(problem: Problem, vector: Entries, free: Sequence[Parameter]) -> Entries:
-    """Exact Gauss–Newton steps until the gradient over all samples is at rounding level."""
+def _finish(
+    problem: Problem, vector: Entries, free: Sequence[Parameter]
+) -> tuple[Entries, Float[np.ndarray, "q q"]]:
+    """Exact Gauss–Newton steps until the gradient over all samples is at rounding level.
+
+    Returns the vector and the exact pass there, along `directions(free)`.
+    """
     along, _ = directions(free, problem.parameters)
+    gram = problem.gram(vector, along)
     if not along.shape[1]:
-        return vector
+        return vector, gram
     solver = make_solver("gauss_newton", FINISH)
     for _ in range(_FINISHES):
-        gram = problem.gram(vector, along)
         if _is_done(problem, gram, along):
-            return vector
+            return vector, gram
         near = chart(vector, free, problem.parameters)
         descent = descend(near, problem.samples, problem.model, solver, _FINISH_STEPS)
         if not descent.finite or not descent.history[-1] < gram[-1, -1]:
             break
         vector = descent.entries
-    return _polish(problem, vector, free, along)
-
-
-def _polish(
-    problem: Problem, vector: Entries, free: Sequence[Parameter], along: Float[np.ndarray, "e p"]
-) -> Entries:
-    """Steps on the entries themselves: the chart's maps round by several eps, all pixels alike."""
-    gram = problem.gram(vector, along)
+        gram = problem.gram(vector, along)
+    # Steps on the entries themselves: the chart's maps round by several eps, all pixels alike.
     for _ in range(_FINISHES):
         if _is_done(problem, gram, along) or not np.isfinite(gram).all():
             break
@@ -315,7 +318,7 @@ def _polish(
         if not after[-1, -1] < gram[-1, -1]:
             break
         vector, gram = tried, after
-    return vector
+    return vector, gram
 
 
 def _is_done(problem: Problem, gram: np.ndarray, along: np.ndarray) -> bool:
@@ -361,7 +364,7 @@ def _best_from(
     max_steps: int,
 ) -> Entries:
     descent = _descend(problem, vector, free, solver, max_steps, [vector])
-    return _finish(problem, descent.entries, free) if descent.finite else vector
+    return _finish(problem, descent.entries, free)[0] if descent.finite else vector
 
 
 def _loose(
@@ -434,8 +437,8 @@ def _second_opinion(
     )
     if not descent.finite:
         return "higher", vector
-    found = _finish(problem, descent.entries, free)
-    best, square_sum = problem.square_sum(found), problem.square_sum(vector)
+    found, gram = _finish(problem, descent.entries, free)
+    best, square_sum = float(gram[-1, -1]), problem.square_sum(vector)
     margin = max(100 * margin, AGREE * square_sum)
     if best > square_sum + margin:
         return "higher", vector

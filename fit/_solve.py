@@ -22,7 +22,7 @@ from model_jax._shapes import AnyArray
 
 from ._bijections import to_tints, to_value
 from ._parameters import TINT, Chart, Entries
-from ._stream import Model, Samples, compressed, gram
+from ._stream import Model, Samples, compressed, gram, tile_at
 
 Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 
@@ -110,14 +110,24 @@ def descend(
     chart: Chart, samples: Samples, model: Model, solver: Solver, max_steps: int
 ) -> Descent:
     """The best vector that a solver finds from the chart's start; never worse than the start."""
+    p = len(chart.start)
     with jax.enable_x64(True):
-        pass_, first = _whitened(chart, samples, model)
-        found = jax.device_get(_run(solver, pass_, max_steps))
-        size = float(pass_.size) ** 2
-    start, end, history, count = found
-    costs = [first, *(float(c) * size for c in history if np.isfinite(c))]
+        atlas = Atlas(
+            base=jnp.asarray(chart.base),
+            matrix=jnp.asarray(chart.matrix),
+            lower=jnp.asarray(chart.lower),
+            upper=jnp.asarray(chart.upper),
+            scale=jnp.asarray(chart.scale),
+            basis=jnp.asarray(chart.basis),
+            tint_total=jnp.asarray(chart.tint_total),
+            start=jnp.asarray(chart.start),
+            whiten=jnp.asarray(np.eye(p)),
+        )
+        found = jax.device_get(_run(solver, atlas, samples, model, max_steps))
+    start, end, first, history, count = found
+    costs = [float(first), *(float(c) for c in history if np.isfinite(c))]
     finite = bool(np.isfinite(end).all() and np.isfinite(costs[-1]))
-    better = finite and not costs[-1] > first  # NaN compares false
+    better = finite and not costs[-1] > costs[0]  # NaN compares false
     return Descent(np.asarray(end if better else start), finite, int(count), tuple(costs))
 
 
@@ -138,56 +148,44 @@ def square_sums(
     return jax.vmap(lambda vector: gram(vector, nothing, samples, model)[-1, -1])(vectors)
 
 
-def _whitened(chart: Chart, samples: Samples, model: Model) -> tuple[Pass, float]:
-    """The pass in whitened steps, and the square sum at its start."""
-    p = len(chart.start)
-    atlas = Atlas(
-        base=jnp.asarray(chart.base),
-        matrix=jnp.asarray(chart.matrix),
-        lower=jnp.asarray(chart.lower),
-        upper=jnp.asarray(chart.upper),
-        scale=jnp.asarray(chart.scale),
-        basis=jnp.asarray(chart.basis),
-        tint_total=jnp.asarray(chart.tint_total),
-        start=jnp.asarray(chart.start),
-        whiten=jnp.asarray(np.eye(p)),
-    )
-    start_gram, light = jax.device_get(_first(atlas, samples, model))
-    size = float(np.sqrt(light)) or 1.0
-    whiten = jnp.asarray(_whitening(start_gram[:-1, :-1]) * size)
-    atlas = eqx.tree_at(lambda a: a.whiten, atlas, whiten)
-    return Pass(atlas, samples, model, jnp.asarray(size)), float(start_gram[-1, -1])
-
-
-@eqx.filter_jit
-def _first(atlas: Atlas, samples: Samples, model: Model) -> tuple[jax.Array, jax.Array]:
-    """G at the start, in the chart's own steps, and the square sum of the light."""
-    step = jnp.zeros_like(atlas.start)
-    along = jax.jacfwd(atlas.entries)(step)
-    inside = jnp.arange(samples.lit.shape[1])[None, :] < jnp.asarray(samples.count)[:, None]
-    weight = inside if samples.weight is None else inside * jnp.asarray(samples.weight)
-    light = (jnp.asarray(samples.light) ** 2 * weight[:, None, :]).sum()
-    return gram(atlas.entries(step), along, samples, model), light
-
-
-def _whitening(curved: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
-    """W with Wᵀ G W = 1, where G tells; steps along what it does not tell stay of order one."""
-    size = np.sqrt(np.diag(curved))
-    usable = np.where((size > 0) & np.isfinite(size), size, 1.0)
-    scaled = np.nan_to_num(curved / usable / usable[:, None], posinf=0.0, neginf=0.0)
-    values, vectors = np.linalg.eigh(scaled)
-    floor = 1e-12 * max(float(values.max(initial=0.0)), 1e-300)
-    return np.asarray(vectors / np.sqrt(np.maximum(values, floor)) / usable[:, None])
-
-
 @eqx.filter_jit
 def _run(
-    solver: Solver, pass_: Pass, max_steps: int
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Entries at the start and at the end, square sums of the steps, their number."""
-    step, history, count = run(solver, pass_, max_steps)
-    entries = pass_.atlas.entries
-    return entries(jnp.zeros_like(step)), entries(step), history, count
+    solver: Solver, atlas: Atlas, samples: Samples, model: Model, max_steps: int
+) -> tuple[jax.Array, ...]:
+    """Entries at the start and at the end, square sums at the start and of the steps, their number.
+
+    All in one program: each costs a good part of a second to compile.
+    """
+    step = jnp.zeros_like(atlas.start)
+    along = jax.jacfwd(atlas.entries)(step)
+    first = gram(atlas.entries(step), along, samples, model)
+    size = jnp.sqrt(_light(samples))
+    size = jnp.where(size > 0, size, 1.0)
+    whitened = eqx.tree_at(lambda a: a.whiten, atlas, _whitening(first[:-1, :-1]) * size)
+    step, history, count = run(solver, Pass(whitened, samples, model, size), max_steps)
+    end = whitened.entries(step)
+    return atlas.entries(jnp.zeros_like(step)), end, first[-1, -1], history * size**2, count
+
+
+def _light(samples: Samples) -> Float[jax.Array, ""]:
+    """Square sum of the light."""
+
+    def add(index: jax.Array, total: jax.Array) -> jax.Array:
+        tile = tile_at(samples, index)
+        return total + (tile.light**2 * tile.weight[None]).sum()
+
+    return jax.lax.fori_loop(0, samples.used, add, jnp.zeros((), samples.lit.dtype))
+
+
+def _whitening(curved: Float[jax.Array, "p p"]) -> Float[jax.Array, "p p"]:
+    """W with Wᵀ G W = 1, where G tells; steps along what it does not tell stay of order one."""
+    size = jnp.sqrt(jnp.diagonal(curved))
+    usable = jnp.where((size > 0) & jnp.isfinite(size), size, 1.0)
+    scaled = curved / usable[None] / usable[:, None]
+    scaled = jnp.where(jnp.isfinite(scaled), scaled, 0.0)
+    values, vectors = jnp.linalg.eigh(scaled)
+    floor = 1e-12 * jnp.maximum(values[-1], 1e-300)
+    return vectors / jnp.sqrt(jnp.maximum(values, floor))[None] / usable[:, None]
 
 
 def run(

@@ -46,7 +46,7 @@ class Samples(eqx.Module):
     """Width of lit air in the first photo's `width_unit`s."""
     dark: Float[AnyArray, "T n"] | None
     light: Float[AnyArray, "T 3 n"]
-    """What the photo recorded; for a clipped sample the bound that it tells."""
+    """What the photo recorded, in its own precision; for a clipped sample the bound it tells."""
     surface: Float[AnyArray, "T 3 n"] | None
     """Light behind the air."""
     clipped: Int[AnyArray, "T 3 n"] | None
@@ -108,7 +108,7 @@ def tile_at(samples: Samples, index: Int[AnyArray, ""]) -> Tile:
     return Tile(
         lit=part(samples.lit),
         dark=part(samples.dark),
-        light=part(samples.light),
+        light=jnp.asarray(samples.light)[index].astype(samples.lit.dtype),
         surface=part(samples.surface),
         clipped=part(samples.clipped),
         one=part(samples.one),

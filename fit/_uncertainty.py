@@ -194,13 +194,15 @@ def influence_maps(
 
     In parameter units per unit of recorded light.
     """
-    maps = [np.zeros((*size, 3), np.float32) for size in sizes]
+    # A plane for each channel, as files store them.
+    maps = [np.moveaxis(np.zeros((3, *size), np.float32), 0, -1) for size in sizes]
     starts = [0] * len(columns)
     response = np.linalg.solve(hessian, to_told)
     for photo, influence in _influences(samples, model, vector, along @ response[:, None]):
         n = influence.shape[-1]
         index = columns[photo].index[starts[photo] : starts[photo] + n]
-        maps[photo].reshape(-1, 3)[index] = influence[0].T
+        for k, plane in enumerate(np.moveaxis(maps[photo], -1, 0)):
+            plane.reshape(-1)[index] = influence[0, k]
         starts[photo] += n
     return maps
 
@@ -349,8 +351,10 @@ def _block_numbers(index: np.ndarray, size: tuple[int, int], side: int) -> np.nd
     """Number of the block of each pixel, counted over the blocks that hold any."""
     across = -(-size[1] // side)
     rows, columns = np.divmod(index, size[1])
-    number = (rows // side) * across + columns // side
-    return np.unique(number, return_inverse=True)[1].reshape(-1)
+    number = rows // side * across + columns // side
+    holds = np.zeros((-(-size[0] // side)) * across, bool)
+    holds[number] = True
+    return np.asarray((np.cumsum(holds) - 1)[number])
 
 
 def _correlation(
@@ -388,17 +392,15 @@ def _products(
     index: np.ndarray, size: tuple[int, int], residual: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Σ r(x) r(x + d) and the number of pairs, for lags d up to `_LAGS`; summed over channels."""
-    rows, cols = np.divmod(index, size[1])
     if not index.size:
         nothing = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
         return nothing, nothing
-    top, left = rows.min(), cols.min()
-    # A part of the frame is enough: the most crowded square of 1024 pixels.
-    shape = (int(rows.max() - top) + 1, int(cols.max() - left) + 1)
-    mask = np.zeros(shape, np.float32)
-    mask[rows - top, cols - left] = 1
-    part = _crowded(mask)
-    padded = tuple(_fast_length(n + _LAGS) for n in mask[part].shape)
+    rows, cols = np.divmod(index, size[1])
+    inside, rows, cols = _crowded(rows, cols)
+    residual = residual[inside]
+    mask = np.zeros((int(rows.max()) + 1, int(cols.max()) + 1), np.float32)
+    mask[rows, cols] = 1
+    padded = tuple(_fast_length(n + _LAGS) for n in mask.shape)
     wanted = np.ix_(*(np.arange(-_LAGS, _LAGS + 1) % n for n in padded))
 
     def lagged(picture: np.ndarray) -> np.ndarray:
@@ -406,24 +408,26 @@ def _products(
         return np.asarray(np.fft.irfft2(power, padded)[wanted])
 
     products = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
-    image = np.zeros(shape, np.float32)
+    image = np.zeros_like(mask)
     for channel in residual.T:  # not their mean: JPEG's errors of colour have none
-        image[rows - top, cols - left] = np.nan_to_num(channel)
-        products += lagged(image[part]) / residual.shape[1]
-    return products, np.maximum(np.round(lagged(mask[part])), 0)
+        image[rows, cols] = np.nan_to_num(channel)
+        products += lagged(image) / residual.shape[1]
+    return products, np.maximum(np.round(lagged(mask)), 0)
 
 
 _WINDOW = 1024
 
 
-def _crowded(mask: np.ndarray) -> tuple[slice, slice]:
-    """The square of `_WINDOW` pixels with the most used ones, of those side by side."""
-    best = (-1.0, slice(None), slice(None))
-    for top in range(0, mask.shape[0], _WINDOW):
-        for left in range(0, mask.shape[1], _WINDOW):
-            part = slice(top, top + _WINDOW), slice(left, left + _WINDOW)
-            best = max(best, (float(mask[part].sum()), *part), key=lambda found: found[0])
-    return best[1:]
+def _crowded(rows: np.ndarray, cols: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A part of the frame is enough: the most crowded square of `_WINDOW` pixels, of those side by
+    side. Which pixels lie in it, their rows and columns there."""
+    rows, cols = rows - rows.min(), cols - cols.min()
+    across = int(cols.max()) // _WINDOW + 1
+    number = rows // _WINDOW * across + cols // _WINDOW
+    best = int(np.argmax(np.bincount(number)))
+    inside = np.flatnonzero(number == best)
+    rows, cols = rows[inside], cols[inside]
+    return inside, rows - rows.min(), cols - cols.min()
 
 
 def _fast_length(n: int) -> int:
