@@ -291,24 +291,38 @@ def _finish(
 ) -> tuple[Entries, Float[np.ndarray, "q q"]]:
     """Exact Gauss–Newton steps until the gradient over all samples is at rounding level.
 
+    On the entries themselves, for the chart's maps round by several eps, all pixels alike; where
+    such a step leaves the bounds or makes things worse, through optimistix on the chart.
+
     Returns the vector and the exact pass there, along `directions(free)`.
     """
     along, _ = directions(free, problem.parameters)
     gram = problem.gram(vector, along)
     if not along.shape[1]:
         return vector, gram
+    vector, gram = _steps(problem, vector, gram, free, along)
     solver = make_solver("gauss_newton", FINISH)
     for _ in range(_FINISHES):
         if _is_done(problem, gram, along):
-            return vector, gram
+            break
         near = chart(vector, free, problem.parameters)
         descent = descend(near, problem.samples, problem.model, solver, _FINISH_STEPS)
         if not descent.finite or not descent.history[-1] < gram[-1, -1]:
             break
         vector = descent.entries
-        gram = problem.gram(vector, along)
-    # Steps on the entries themselves: the chart's maps round by several eps, all pixels alike.
-    for _ in range(_FINISHES):
+        vector, gram = _steps(problem, vector, problem.gram(vector, along), free, along)
+    return vector, gram
+
+
+def _steps(
+    problem: Problem,
+    vector: Entries,
+    gram: Float[np.ndarray, "q q"],
+    free: Sequence[Parameter],
+    along: Float[np.ndarray, "e p"],
+) -> tuple[Entries, Float[np.ndarray, "q q"]]:
+    """As many plain steps as make the square sum smaller, and the pass where they end."""
+    for _ in range(_FINISH_STEPS):
         if _is_done(problem, gram, along) or not np.isfinite(gram).all():
             break
         tried = vector - along @ _gauss_newton(gram)

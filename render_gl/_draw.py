@@ -112,7 +112,8 @@ class _Passes:
         self.uniforms = uniforms_of(scene, look, linear)
         self.shadowed = shadow_in_view(scene)
         self.defines = defines_of(scene, linear, self.shadowed)
-        self.sphere = self._upload(sphere_mesh(scene.planet.triangles))
+        mesh = sphere_mesh(scene.planet.triangles)
+        self.sphere, self.inner_radius = self._upload(mesh), mesh.inner_radius
         self.shell = float(1 + scene.atmosphere.height / scene.planet.radius)
         self.position = np.asarray(scene.camera.position) / float(scene.planet.radius)
 
@@ -221,8 +222,7 @@ class _Passes:
             units[name] = unit
         self._state("back", test=False)
         # Inside the mesh, not just the sphere: every ray then has a back face, and no front.
-        inner = self.shell * sphere_mesh(self.scene.planet.triangles).inner_radius
-        if np.linalg.norm(self.position) <= inner:
+        if np.linalg.norm(self.position) <= self.shell * self.inner_radius:
             screen = program("screen.vert", "combine.frag", self.defines)
             assign_uniforms(screen, self.uniforms | units)
             self.context.vertex_array(screen, []).render(vertices=3)
