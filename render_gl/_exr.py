@@ -130,6 +130,8 @@ def write_channels(
     pixels = {name: np.ascontiguousarray(a, dtype=np.float32) for name, a in channels.items()}
 
     def write(temporary: Path) -> None:
+        if OpenEXR.global_thread_count() == 0:
+            OpenEXR.set_global_thread_count(os.cpu_count() or 1)
         try:
             OpenEXR.File(header, pixels).write(str(temporary))
         except (RuntimeError, ValueError, TypeError) as error:
