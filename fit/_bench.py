@@ -16,7 +16,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -128,13 +128,11 @@ def run_bench(
     )
     dense = add("optimistix LM, dense float32", lambda: _dense(columns, start), lambda v: v)
     one_pass = _pass_rows(rows, columns, repeats, progress)
-    assert ours.median is not None
     for peer in (trf, dense):
+        assert ours.median is not None
         assert peer.median is not None
-        ratio = peer.median / ours.median
-        rows.append(
-            Row(f"ratio to {peer.name}", n, None, None, None, None, f"{ratio:.1f} times faster")
-        )
+        note = f"{peer.median / ours.median:.0f} times the time of airlight's first row"
+        rows[rows.index(peer)] = replace(peer, note=note)
     progress("compiling in a fresh process")
     rows.append(_compile_row(quick))
     rows.append(_other_size_row(width, height))
@@ -401,14 +399,18 @@ def _memory_row() -> Row:
         command = ["fit", "--layers", f"{folder}/layers.exr", f"{folder}/photo.png", "-o", folder]
         script = f"import sys; sys.argv[1:] = {command!r}; from fit._cli import main; main()"
         started = perf_counter()
-        child = subprocess.Popen(
-            [sys.executable, "-c", script], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-        )
-        _, status, usage = os.wait4(child.pid, 0)
-        seconds = perf_counter() - started
-        if os.waitstatus_to_exitcode(status) != 0:
-            raise InputError(f"bench: airlight {' '.join(command)} failed: {child.stderr!r}")
-    note = f"peak memory {usage.ru_maxrss / 1e6:.2f} GB, report and all"
+        with open(f"{folder}/errors.txt", "w+", encoding="utf-8") as errors:
+            child = subprocess.Popen(
+                [sys.executable, "-c", script], stdout=subprocess.DEVNULL, stderr=errors
+            )
+            _, status, usage = os.wait4(child.pid, 0)
+            seconds = perf_counter() - started
+            if os.waitstatus_to_exitcode(status) != 0:
+                errors.seek(0)
+                last = errors.read().strip().rpartition("\n")[2]
+                raise InputError(f"bench: airlight {' '.join(command)} failed: {last}")
+    peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    note = f"peak memory {peak / 1e9:.2f} GB, report and all"
     return Row("airlight fit, 13.6-megapixel photo", used, seconds, None, None, None, note)
 
 

@@ -574,7 +574,7 @@ def _judge(
         second_opinion=end.second,
         evidence=evidence,
     )
-    warnings = _warnings(result)
+    warnings = _warnings(result, task.photos)
     message = _message(verdict, result, [p.name for p in end.at_bound])
     return replace(result, warnings=warnings, message=" ".join([message, *warnings]))
 
@@ -766,7 +766,7 @@ def _without_data(
     )
 
 
-def _warnings(result: FitResult) -> tuple[str, ...]:
+def _warnings(result: FitResult, photos: Sequence[PhotoLike]) -> tuple[str, ...]:
     found = []
     explained, errors = result.explained, result.errors
     if explained is not None and explained < WELL_EXPLAINED:
@@ -781,6 +781,11 @@ def _warnings(result: FitResult) -> tuple[str, ...]:
     background = [e for n, e in result.parameters.items() if n.startswith("background")]
     if any(e.stderr is not None and e.value + 3 * e.stderr < 0 for e in background):
         found.append("The background came out negative: the model takes light away.")
+    if result.correlation_names and any(isinstance(p, Photo) and p.lossy for p in photos):
+        found.append(
+            "A JPEG rounds colours block by block, which the intervals know only in part: fit the "
+            "picture before it was compressed, if there is one."
+        )
     return tuple(found)
 
 

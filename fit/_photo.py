@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt, UInt8
@@ -54,6 +54,8 @@ class Photo:
     half_steps: Float[np.ndarray, " codes"] | None
     """Half a code step in linear light for each code; covers rounding to codes only, not JPEG's
     losses. None for float photos."""
+    lossy: bool = False
+    """Whether the file is compressed as JPEG is."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -128,7 +130,7 @@ def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None 
     than `MAX_PIXELS` pixels, for CMYK, for an EXR without R, G, B, and for a mask of another size.
     """
     file = Path(path)
-    stored, bits = _read(file)
+    stored, bits, lossy = _read(file)
     if tone_curve is None:
         curve: ToneCurve = Linear() if bits is None else Srgb()
     else:
@@ -152,6 +154,7 @@ def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None 
         bits=32 if bits is None else bits,
         light=light,
         half_steps=half_steps,
+        lossy=lossy,
     )
 
 
@@ -195,7 +198,7 @@ def _decode_float(stored: np.ndarray, curve: ToneCurve) -> np.ndarray:
 def _read_mask(path: PathLike, photo: Path, stored: np.ndarray) -> np.ndarray:
     """True where the mask keeps the pixel."""
     file = Path(path)
-    values, _ = _read(file, any_channels=True)
+    values = _read(file, any_channels=True).samples
     if values.shape[:2] != stored.shape[:2]:
         (height, width), (photo_height, photo_width) = values.shape[:2], stored.shape[:2]
         raise InputError(
@@ -213,8 +216,17 @@ def _three_channels(path: Path, stored: np.ndarray) -> np.ndarray:
     return np.broadcast_to(stored, (*stored.shape[:2], 3))
 
 
-def _read(path: Path, any_channels: bool = False) -> tuple[np.ndarray, int | None]:
-    """Stored samples [h, w, 1 or 3] (of an EXR mask any number) and bits; None for float."""
+class _Stored(NamedTuple):
+    """What a file holds."""
+
+    samples: np.ndarray
+    """[h, w, 1 or 3], of an EXR mask any number."""
+    bits: int | None
+    """None for float."""
+    lossy: bool
+
+
+def _read(path: Path, any_channels: bool = False) -> _Stored:
     try:
         with open(path, "rb") as stream:
             start = stream.read(8)
@@ -222,8 +234,8 @@ def _read(path: Path, any_channels: bool = False) -> tuple[np.ndarray, int | Non
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{path}: cannot be opened ({reason}); check the path") from error
     if start.startswith(_EXR):
-        return _read_exr(path, any_channels), None
-    reader: Callable[[Path], tuple[np.ndarray, int | None]]
+        return _Stored(_read_exr(path, any_channels), None, False)
+    reader: Callable[[Path], _Stored]
     if start.startswith((_JPEG, _PNG)):
         reader = _read_with_pillow
     elif start.startswith(_TIFF):
@@ -258,7 +270,7 @@ def _name_format(path: Path, start: bytes) -> str:
     return f"is no picture (starts with {start!r})"
 
 
-def _read_with_pillow(path: Path) -> tuple[np.ndarray, int]:
+def _read_with_pillow(path: Path) -> _Stored:
     """JPEG and PNG. The classes are named because `Image.open` limits all photos of the process to
     a number of pixels that real ones exceed; ours is `MAX_PIXELS`."""
     if ImageFile.LOAD_TRUNCATED_IMAGES:
@@ -283,10 +295,10 @@ def _read_with_pillow(path: Path) -> tuple[np.ndarray, int]:
         else:
             grey = image.mode in ("1", "L", "LA")
             codes, bits = np.asarray(image.convert("L" if grey else "RGB")), 8
-    return _orient(_colour_first(codes), orientation), bits
+    return _Stored(_orient(_colour_first(codes), orientation), bits, not is_png)
 
 
-def _read_tiff(path: Path) -> tuple[np.ndarray, int | None]:
+def _read_tiff(path: Path) -> _Stored:
     """The first page of a TIFF."""
     import tifffile  # a quarter of a second to import, and only here
 
@@ -296,7 +308,8 @@ def _read_tiff(path: Path) -> tuple[np.ndarray, int | None]:
         if page.is_reduced:
             raise InputError(f"{path}: holds a thumbnail first, as raw files do; export it as TIFF")
         photometric = tifffile.PHOTOMETRIC(page.photometric).name
-        jpeg_colour = photometric == "YCBCR" and page.compression == tifffile.COMPRESSION.JPEG
+        lossy = page.compression == tifffile.COMPRESSION.JPEG
+        jpeg_colour = photometric == "YCBCR" and lossy
         if photometric not in ("RGB", "MINISBLACK", "MINISWHITE") and not jpeg_colour:
             raise InputError(f"{path}: is a {photometric} TIFF; convert it to RGB")
         is_float = page.dtype is not None and page.dtype.kind == "f"
@@ -320,7 +333,7 @@ def _read_tiff(path: Path) -> tuple[np.ndarray, int | None]:
         raise InputError(f"{path}: its first page has axes {axes}; save one flat picture")
     if photometric == "MINISWHITE":
         pixels = (1 if bits is None else 2**bits - 1) - pixels
-    return _orient(_colour_first(pixels), orientation), bits
+    return _Stored(_orient(_colour_first(pixels), orientation), bits, lossy)
 
 
 def _read_exr(path: Path, any_channels: bool) -> np.ndarray:

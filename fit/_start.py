@@ -73,7 +73,7 @@ def _linear_photos(samples: Samples, vector: Entries) -> list[_Linear]:
         gamma = responses[photo, 1][:, None, None]
         light = np.asarray(samples.light) - level
         samples = replace(samples, light=np.sign(light) * np.abs(light) ** gamma + level)
-    found = moments(samples)
+    found = samples if samples.one is not None else moments(samples)  # which these may be
     zero = np.zeros_like(np.asarray(found.lit))
     dark = zero if found.dark is None else np.asarray(found.dark)
     none = np.zeros((*zero.shape, 3))

@@ -67,20 +67,23 @@ def fit_text(document: dict[str, Any], width: int = 100) -> str:
 def print_bench(console: Console, document: dict[str, Any], out: str) -> None:
     """The rows of a benchmark."""
     table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("what", "pixels of air", "median", "from … to", "error", ""):
-        table.add_column(name, justify="left" if name in ("what", "") else "right")
+    for name in ("what", "pixels of air", "median", "from … to", "error"):
+        table.add_column(
+            name, justify="left" if name == "what" else "right", no_wrap=name != "what"
+        )
     for row in document["rows"]:
         times = [row[key] for key in ("median", "low", "high")]
-        median, low, high = ("" if t is None else f"{1e3 * t:,.1f}" for t in times)
+        median, low, high = ("" if t is None else f"{1e3 * t:,.0f}" for t in times)
+        what = Text(row["name"])
+        what.append(f"\n  {row['note']}" if row["note"] else "", style="dim")
         table.add_row(
-            row["name"],
+            what,
             f"{row['pixels']:,}" if row["pixels"] else "",
             median and f"{median} ms",
             low and f"{low} … {high}",
             "" if row["error"] is None else number(row["error"], 2),
-            row["note"],
         )
-    console.print(table, markup=False, highlight=False)
+    console.print(table)
     machine = ", ".join(f"{name} {value}" for name, value in document["machine"].items())
     console.print(machine, style="dim", markup=False, highlight=False)
     console.print(f"{out}/fit-bench.csv, fit-bench.json", markup=False, highlight=False)

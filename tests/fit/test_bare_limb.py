@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from fit import load_photo
+from fit import fit, load_photo
 from fit._bare_limb import EVIDENCE, AirEvidence, bare_limb, effective_samples, find_air
 from model_jax import Atmosphere, Camera, Planet, Scene, Sun, analytic_layers, layer_widths
 from render_gl import load_scene
@@ -114,6 +114,14 @@ def test_moon_has_no_air(data_dir: Path, height: float, wrong: tuple[int, int, i
     sun = SIDEWAYS if height == 0.02 else None
     evidence = search(light, disc_scene(light.shape[:2], (x, y, radius), height, sun))
     assert evidence.delta_bic <= EVIDENCE
+
+
+def test_a_fit_of_the_moon_ends_in_no_data(data_dir: Path) -> None:
+    photo = load_photo(data_dir / "apollo" / "AS11-44-6665.jpg")
+    scene = disc_scene(photo.shape, limb_circle(photo.linear), 0.02, SIDEWAYS)
+    result = fit(photo, analytic_layers(scene))
+    assert result.verdict == "no_data"
+    assert "no atmosphere shows" in result.message
 
 
 @pytest.mark.parametrize("height", [0.01, 0.03])

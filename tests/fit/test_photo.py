@@ -389,3 +389,12 @@ def test_real_exr_with_nan_and_inf() -> None:
     photo = load_photo(data_file("openexr_good/BrightRingsNanInf.exr"))
     assert photo.excluded == {"masked": 0, "not finite": 12}
     assert int((~np.isfinite(photo.linear)).sum()) == 18
+
+
+def test_jpegs_are_known_by_what_they_hold(tmp_path: Path) -> None:
+    codes = np.zeros((16, 16, 3), np.uint8)
+    for name, lossy in (("a.jpg", True), ("a.png", False), ("a.tif", False)):
+        Image.fromarray(codes).save(tmp_path / name)
+        assert load_photo(tmp_path / name).lossy is lossy
+    Image.fromarray(codes).save(tmp_path / "b.tif", compression="jpeg")
+    assert load_photo(tmp_path / "b.tif").lossy
