@@ -83,6 +83,12 @@ def light_at(photo: PhotoLike, index: Int[np.ndarray, " n"]) -> Float[np.ndarray
     return as_picture(photo).reshape(-1, 3)[index]
 
 
+ROOM = 1024
+"""Least room, in tiles: 2 megapixels of air. Where nothing is written it takes no memory on a
+CPU."""
+FEW_ROOM = 64
+
+
 def choose_pixels(photo: PhotoLike, layers: Layers) -> Pixels:
     """The pixels that a fit uses.
 
@@ -161,9 +167,12 @@ def to_samples(
     tile: int = TILE,
     weights: Sequence[Float[np.ndarray, " _"]] | None = None,
 ) -> Samples:
-    """Tiles of all photos' columns; a part that any photo has, all have."""
+    """Tiles of all photos' columns; a part that any photo has, all have.
+
+    With weights, of pseudo-pixels: they are fewer, and so is the room for them.
+    """
     tiles = [-(-len(c.lit) // tile) for c in columns]
-    room = capacity(sum(tiles))
+    room = capacity(sum(tiles), ROOM if weights is None else FEW_ROOM)
     starts = np.cumsum([0, *tiles])
 
     def fill(parts: list[np.ndarray | None], channels: bool, dtype: Any = np.float64) -> Any:

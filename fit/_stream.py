@@ -31,9 +31,9 @@ from ._parameters import BACKGROUND, BRIGHTNESS, LOOK_ENTRIES, RESPONSE_ENTRIES,
 TILE = 2048
 """Pixels of a tile: its slopes by 8 parameters are 400 kB, which stays in a core's second cache."""
 
-_CAPACITY = 4
-"""Samples are stored with room for a power of this many tiles (64 at least), so that photos of
-other sizes find a compiled program; loops run over the tiles in use only."""
+_CAPACITY = 8
+"""Samples are stored with room for a power of this many times their least number of tiles, so that
+photos of other sizes find a compiled program; loops run over the tiles in use only."""
 
 _JITTER = 64
 """Share of the unit diagonal, in eps, that keeps a Cholesky factor of p + 1 rounded rows real."""
@@ -310,9 +310,9 @@ def _compressed_jvp(primals: Any, tangents: Any) -> Any:
     return factor[:, -1], factor[:, :-1] @ tangents[0]
 
 
-def capacity(tiles: int) -> int:
+def capacity(tiles: int, least: int) -> int:
     """Room for a number of tiles."""
-    room = 64
+    room = least
     while room < tiles:
         room *= _CAPACITY
     return room
