@@ -293,7 +293,8 @@ def _pass_rows(
             lambda: exact_gram(vector, slopes, problem.samples, problem.model), 3 * repeats
         )
     median = float(np.median(times))
-    read = 8.0 * 5 * n
+    parts = (columns.lit, columns.dark, columns.light)
+    read = float(sum(part.nbytes for part in parts if part is not None))
     bandwidth = _copy_bandwidth(repeats)
     floor = read / bandwidth
     note = (

@@ -84,7 +84,7 @@ def light_at(photo: PhotoLike, index: Int[np.ndarray, " n"]) -> Float[np.ndarray
 
 
 ROOM = 1024
-"""Least room, in tiles: 2 megapixels of air. Where nothing is written it takes no memory on a
+"""Least room, in tiles: 3 megapixels of air. Where nothing is written it takes no memory on a
 CPU."""
 FEW_ROOM = 64
 

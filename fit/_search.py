@@ -321,17 +321,26 @@ def _steps(
     free: Sequence[Parameter],
     along: Float[np.ndarray, "e p"],
 ) -> tuple[Entries, Float[np.ndarray, "q q"]]:
-    """As many plain steps as make the square sum smaller, and the pass where they end."""
+    """Plain steps until the gradient is at its own rounding, or they keep no promise; and the pass
+    where they end.
+
+    A promise over the square sum is the squared cosine between residuals and slopes, and a cosine
+    of sums is known to some eps.
+    """
+    eps = float(np.finfo(np.float64).eps)
+    promise = _promise(gram)
     for _ in range(_FINISH_STEPS):
-        if _is_done(problem, gram, along) or not np.isfinite(gram).all():
+        square_sum = float(gram[-1, -1])
+        if not (64 * eps) ** 2 * square_sum + eps * problem.rounding < promise < np.inf:
             break
         tried = vector - along @ _gauss_newton(gram)
         if not np.isfinite(tried).all() or is_outside(tried, free):
             break
         after = problem.gram(tried, along)
-        if not after[-1, -1] < gram[-1, -1]:
+        left = _promise(after)
+        if not (after[-1, -1] <= (1 + 4 * eps) * square_sum and left < promise):
             break
-        vector, gram = tried, after
+        vector, gram, promise = tried, after, left
     return vector, gram
 
 

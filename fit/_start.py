@@ -71,8 +71,11 @@ def _linear_photos(samples: Samples, vector: Entries) -> list[_Linear]:
         photo = np.asarray(samples.photo)
         level = responses[photo, 2][:, None, None]
         gamma = responses[photo, 1][:, None, None]
-        light = np.asarray(samples.light) - level
-        samples = replace(samples, light=np.sign(light) * np.abs(light) ** gamma + level)
+        used = int(samples.used)  # tiles; the rest is room
+        light = np.asarray(samples.light)[:used] - level[:used]
+        straight = np.zeros(samples.light.shape)
+        straight[:used] = np.sign(light) * np.abs(light) ** gamma[:used] + level[:used]
+        samples = replace(samples, light=straight)
     found = samples if samples.one is not None else moments(samples)  # which these may be
     zero = np.zeros_like(np.asarray(found.lit))
     dark = zero if found.dark is None else np.asarray(found.dark)
