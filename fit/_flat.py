@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._parameters import BRIGHTNESS, Entries, Parameter
+from ._stream import TILE
 
 if TYPE_CHECKING:
     from ._search import Problem
@@ -23,9 +24,10 @@ if TYPE_CHECKING:
 TAKES_PART = 0.1
 """Share of a flat direction, in units of the scaled columns, from which a parameter is named."""
 
-RESOLUTION = 1e-7
-"""Singular values below this share are not told from zero: the squares of the Jacobian are what is
-summed, to a few eps of 2e-16."""
+RESOLUTION = float(np.sqrt(2 * 3 * TILE * np.finfo(np.float64).eps))
+"""Singular values below this share are not told from zero. Squares of the Jacobian are what is
+summed, three to a pixel: alike summands round alike, all one way, so that an element of the matrix
+may be off by half an eps for each summand of a tile, and its eigenvalues by a few times that."""
 
 
 @dataclass(frozen=True)

@@ -194,7 +194,8 @@ def sizes_of_tiles(samples: Samples) -> list[int]:
 
 def test_tiles_hold_each_pixel_once() -> None:
     """Two photos: tiles of their own, in order, the last ones part full and the rest empty."""
-    first = columns_of(np.random.default_rng(0).uniform(size=(90, 50, 3)), slab(size=(90, 50)))
+    size = (2 * TILE // 40, 50)  # two tiles and part of a third
+    first = columns_of(np.random.default_rng(0).uniform(size=(*size, 3)), slab(size=size))
     second = columns_of(np.random.default_rng(1).uniform(size=(7, 9, 3)), slab(size=(7, 9)))
     second = replace(second, dark=None)
     samples = to_samples([first, second])
