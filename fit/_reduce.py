@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ._pixels import Columns, to_samples
-from ._stream import Samples, tile_at
+from ._stream import Samples, tile_at, tile_columns, weighted_squares
 
 BINS = 256
 """Bins along each of lit and dark: parameters within 1e-5 of the exact ones on real pictures."""
@@ -127,14 +127,8 @@ def _bin_numbers(widths: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
 def _products(samples: Samples, photos: int, size: int) -> Float[jax.Array, "photos c c"]:
     def add(index: jax.Array, total: jax.Array) -> jax.Array:
         tile = tile_at(samples, index)
-        columns = [jnp.ones_like(tile.lit), tile.lit]
-        if tile.dark is not None:
-            columns.append(tile.dark)
-        parts = [jnp.stack(columns)]
-        if tile.surface is not None:
-            parts.append(tile.surface)
-        rows = jnp.concatenate([*parts, tile.light]) * jnp.sqrt(tile.weight)[None]
-        return total.at[tile.photo].add(rows @ rows.T)
+        rows = jnp.concatenate([tile_columns(samples, tile), tile.light])
+        return total.at[tile.photo].add(weighted_squares(samples, tile, rows))
 
     zero = jnp.zeros((photos, size, size), samples.lit.dtype)
     return jax.lax.fori_loop(0, samples.used, add, zero)

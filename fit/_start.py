@@ -2,7 +2,7 @@
 
 Given the shadow weight the picture is linear in what remains, brightness × tint counting as one
 number per channel. With tint free and one weight for all channels, what is left is a Rayleigh
-quotient of two by two matrices in the direction (lit, dark), which has one valley: 33 directions
+quotient of two by two matrices in the direction (lit, dark), which has one valley: 9 directions
 over the quarter circle of weights ≥ 0 cannot miss it. For plain least squares without gamma the
 best of the fan is within the fan's width of the global optimum, which is what keeps a descent out
 of wrong valleys; a free gamma gets a fan of its own, by taking the photo's light to its power.
@@ -28,7 +28,7 @@ from ._parameters import (
 from ._reduce import moments
 from ._stream import Samples
 
-WEIGHTS = np.tan(np.linspace(0, np.pi / 2, 34)[:-1])
+WEIGHTS = np.tan(np.linspace(0, np.pi / 2, 10)[:-1])
 """Shadow weights of the fan, in units in which lit and dark are equally large."""
 
 GAMMAS = (0.45, 0.7, 1.0, 1.4, 2.2)

@@ -102,7 +102,7 @@ def tile_at(samples: Samples, index: Int[AnyArray, ""]) -> Tile:
     def part(array: AnyArray | None) -> Any:
         return None if array is None else array[index]
 
-    inside = jnp.arange(samples.lit.shape[1]) < samples.count[index]
+    inside = jnp.arange(samples.lit.shape[1], dtype=jnp.int32) < samples.count[index]
     weight = part(samples.weight)
     photo = jnp.asarray(samples.photo)[index]
     return Tile(
@@ -175,29 +175,20 @@ def _linear_gram(
     shared = 2 if samples.dark is None else 3
     surfaces = 0 if samples.surface is None else 3
 
-    def add(index: Any, sums: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        total, squares = sums
+    def add(index: Any, total: jax.Array) -> jax.Array:
         tile = tile_at(samples, index)
-        # Padding is 0 in all columns once it is 0 in this one, and so is its residual.
-        one = tile.weight if tile.one is None and samples.weight is None else tile.one
-        one = jnp.ones_like(tile.lit) if one is None else one
-        columns = jnp.stack([one, tile.lit] if tile.dark is None else [one, tile.lit, tile.dark])
+        columns = tile_columns(samples, tile)
         factors = coefficients[tile.photo]
-        residual = factors[:, :shared] @ columns - tile.light
-        rows = [columns]
+        residual = factors[:, :shared] @ columns[:shared] - tile.light
         if tile.surface is not None:
             residual = residual + factors[:, shared:] * tile.surface
-            rows.append(tile.surface)
-        weighted, left = rows, residual
-        if samples.weight is not None:
-            weighted, left = [row * tile.weight[None] for row in rows], left * tile.weight[None]
-        products = jnp.concatenate(weighted) @ jnp.concatenate([*rows, residual]).T
-        return total.at[tile.photo].add(products), squares + jnp.vdot(left, residual)
+        rows = jnp.concatenate([columns, residual])
+        return total.at[tile.photo].add(weighted_squares(samples, tile, rows))
 
     size = shared + surfaces
-    zero = jnp.zeros((len(photos), size, size + 3), samples.lit.dtype)
-    nothing = jnp.zeros((), samples.lit.dtype)
-    total, square_sum = jax.lax.fori_loop(0, samples.used, add, (zero, nothing))
+    zero = jnp.zeros((len(photos), size + 3, size + 3), samples.lit.dtype)
+    total = jax.lax.fori_loop(0, samples.used, add, zero)
+    square_sum = jnp.trace(total[:, size:, size:], axis1=1, axis2=2).sum()
     curved: Any = 0.0
     gradient: Any = 0.0
     for k in range(3):
@@ -207,6 +198,30 @@ def _linear_gram(
         curved = curved + jnp.einsum("qim,qmn,qjn->ij", slope, products, slope)
         gradient = gradient + jnp.einsum("qim,qm->i", slope, total[:, of, last])
     return _bordered(curved, gradient, square_sum)
+
+
+def tile_columns(samples: Samples, tile: Tile) -> Float[jax.Array, "c n"]:
+    """The columns one, lit, dark and surface of a tile, without what no pixel has.
+
+    Padding is 0 in all of them, and in the light.
+    """
+    one = tile.one
+    if one is None:  # weights of pixels are 0 and 1, unless they are pseudo-pixels
+        one = tile.weight if samples.weight is None else jnp.ones_like(tile.lit)
+    rows = [one[None], tile.lit[None]]
+    if tile.dark is not None:
+        rows.append(tile.dark[None])
+    if tile.surface is not None:
+        rows.append(tile.surface)
+    return jnp.concatenate(rows)
+
+
+def weighted_squares(
+    samples: Samples, tile: Tile, rows: Float[jax.Array, "r n"]
+) -> Float[jax.Array, "r r"]:
+    """Sums of products of rows over a tile."""
+    left = rows if samples.weight is None else rows * tile.weight[None]
+    return left @ rows.T
 
 
 def _unit_tile(samples: Samples, photo: Int[jax.Array, ""]) -> Tile:
