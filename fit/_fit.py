@@ -20,6 +20,7 @@ from model_jax import InputError, Layers, Look, Response
 from model_jax._shapes import AnyArray
 
 from ._bare_limb import EVIDENCE, find_air
+from ._compression import Undone, undo_compression
 from ._loss import Loss, LossName, check_loss, weigh
 from ._parameters import (
     CHANNELS,
@@ -504,6 +505,7 @@ def _judge(
     reach = np.zeros(len(told))
     evidence = None
     noise = np.nan
+    vector, undone = end.vector, None
     residuals = _residuals(problem, end)
     if end.finite:
         noise = _noise(task, problem, end, residuals)
@@ -522,6 +524,11 @@ def _judge(
         covariance = rows @ spread.covariance @ rows.T
         reach = reach_95(spread.freedom(rows))
         bias = _bias(evidence, rows)
+        undone = _undone(evidence, residuals, noise)
+        if undone is not None:
+            vector = _within(end.vector + along @ undone.shift, task.parameters)
+            covariance = rows @ undone.covariance @ rows.T
+            reach = reach_95(np.full(len(told), undone.freedom))
     stderr = np.sqrt(np.maximum(np.diag(covariance), 0))
     # The told tints add up to 3; a length of zero is a parameter that nothing can move.
     lengths = np.where(stderr > 0, stderr, 1.0)
@@ -534,13 +541,15 @@ def _judge(
         k = names.index(p.name) if p.name in names else None
         estimates[p.name] = _estimate(
             p,
-            float(p.of(end.vector)),
+            float(p.of(vector)),
             role=_role(p, names, end, held),
             stderr=None if k is None else float(stderr[k]),
             reach=None if k is None else float(reach[k] * stderr[k]),
             bias=None if k is None else bias[k],
+            undone=None if k is None or undone is None else float(p.of(vector - end.vector)),
         )
-    photos = tuple(_photo_results(task, problem, end, pixels, residuals))
+    responses = to_responses(vector)
+    photos = tuple(_photo_results(task, problem, end, responses, pixels, residuals))
     left_out = left_out + [
         LeftOut(p.name, f"{flat.why}; held at its start value")
         for flat in end.flat
@@ -565,7 +574,7 @@ def _judge(
         correlation=correlation,
         covariance=covariance,
         errors=errors,
-        look=to_look(end.vector, task.look),
+        look=to_look(vector, task.look),
         photos=photos,
         left_out=tuple(left_out),
         loss=task.loss,
@@ -634,16 +643,52 @@ def _bias(evidence: Evidence, rows: Float[np.ndarray, "t p"]) -> list[float | No
     return [float(b) for b in bound]
 
 
+def _undone(
+    evidence: Evidence, residuals: Sequence[Float[np.ndarray, "_ 3"]], noise: float
+) -> Undone | None:
+    """The look before JPEG; None where no photo was one, or of no kind that can be done again.
+
+    Nor where what is left over is no noise: the light before compression is not known then.
+    """
+    task, problem, end = evidence.task, evidence.problem, evidence.end
+    lossy = [p for p in task.photos if isinstance(p, Photo) and p.lossy]
+    if not lossy or not end.free or any(p.jpeg is None for p in lossy):
+        return None
+    if evidence.spread.correlation_px > STRUCTURED_PX:
+        return None
+    return undo_compression(
+        task.photos,
+        task.layers,
+        problem,
+        end.vector,
+        evidence.along,
+        end.free,
+        evidence.spread.covariance,
+        residuals,
+        evidence.spread.area,
+        noise,
+    )
+
+
+def _within(vector: Entries, parameters: Sequence[Parameter]) -> Entries:
+    """The nearest vector in which each parameter is in its range."""
+    found = vector.copy()
+    for p in parameters:
+        found[list(p.entries)] = np.clip(p.of(vector), p.lower, p.upper)
+    return found
+
+
 def _photo_results(
     task: _Task,
     problem: Problem,
     end: End,
+    responses: Sequence[Response],
     pixels: Sequence[Pixels],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
 ) -> list[PhotoResult]:
     found = []
     for c, px, layers, residual, response in zip(
-        problem.columns, pixels, task.layers, residuals, to_responses(end.vector), strict=True
+        problem.columns, pixels, task.layers, residuals, responses, strict=True
     ):
         believed = _believed(residual, problem.model.loss) > BELIEVED
         count, square_sum, left, total = 0, 0.0, 0.0, 0.0
@@ -676,6 +721,7 @@ def _estimate(
     stderr: float | None = None,
     reach: float | None = None,
     bias: float | None = None,
+    undone: float | None = None,
 ) -> Estimate:
     return Estimate(
         value=value,
@@ -688,6 +734,7 @@ def _estimate(
         prior=None if p.prior is None else (p.prior.mean, p.prior.sigma),
         tied_to=p.tied_to,
         quantisation_bound=bias,
+        compression_shift=undone,
         meaning=p.meaning,
     )
 
@@ -781,10 +828,12 @@ def _warnings(result: FitResult, photos: Sequence[PhotoLike]) -> tuple[str, ...]
     background = [e for n, e in result.parameters.items() if n.startswith("background")]
     if any(e.stderr is not None and e.value + 3 * e.stderr < 0 for e in background):
         found.append("The background came out negative: the model takes light away.")
-    if result.correlation_names and any(isinstance(p, Photo) and p.lossy for p in photos):
+    told = [result.parameters[name] for name in result.correlation_names]
+    lossy = any(isinstance(p, Photo) and p.lossy for p in photos)
+    if lossy and any(e.compression_shift is None for e in told):
         found.append(
-            "A JPEG rounds colours block by block, which the intervals know only in part: fit the "
-            "picture before it was compressed, if there is one."
+            "The photo's compression rounds colours block by block, which the intervals know only "
+            "in part: fit the picture before it was compressed, if there is one."
         )
     return tuple(found)
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt, UInt8
-from PIL import ExifTags, Image, ImageFile, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageFile, JpegImagePlugin, UnidentifiedImageError
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 
@@ -32,6 +32,18 @@ _EXR = b"\x76\x2f\x31\x01"
 
 REASONS = ("masked", "not finite")
 """Why a photo leaves a pixel out, in the order in which the reasons apply."""
+
+
+@dataclass(frozen=True)
+class Jpeg:
+    """How a JPEG file was compressed: what it takes to do the same to another picture."""
+
+    tables: tuple[tuple[int, ...], ...]
+    """Steps of the 64 frequencies, for each component."""
+    sampling: int
+    """Of colour, in Pillow's numbers: 0 is 4:4:4, 1 is 4:2:2, 2 is 4:2:0; -1 of grey."""
+    orientation: int
+    """By EXIF: pixels are compressed as stored, not as shown."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +68,8 @@ class Photo:
     losses. None for float photos."""
     lossy: bool = False
     """Whether the file is compressed as JPEG is."""
+    jpeg: Jpeg | None = None
+    """Of a JPEG file of a common kind."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -130,7 +144,7 @@ def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None 
     than `MAX_PIXELS` pixels, for CMYK, for an EXR without R, G, B, and for a mask of another size.
     """
     file = Path(path)
-    stored, bits, lossy = _read(file)
+    stored, bits, lossy, jpeg = _read(file)
     if tone_curve is None:
         curve: ToneCurve = Linear() if bits is None else Srgb()
     else:
@@ -155,6 +169,7 @@ def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None 
         light=light,
         half_steps=half_steps,
         lossy=lossy,
+        jpeg=jpeg,
     )
 
 
@@ -224,6 +239,7 @@ class _Stored(NamedTuple):
     bits: int | None
     """None for float."""
     lossy: bool
+    jpeg: Jpeg | None = None
 
 
 def _read(path: Path, any_channels: bool = False) -> _Stored:
@@ -295,7 +311,17 @@ def _read_with_pillow(path: Path) -> _Stored:
         else:
             grey = image.mode in ("1", "L", "LA")
             codes, bits = np.asarray(image.convert("L" if grey else "RGB")), 8
-    return _Stored(_orient(_colour_first(codes), orientation), bits, not is_png)
+        jpeg = _jpeg_of(image, orientation) if isinstance(image, JpegImageFile) else None
+    return _Stored(orient(_colour_first(codes), orientation), bits, not is_png, jpeg)
+
+
+def _jpeg_of(image: JpegImageFile, orientation: object) -> Jpeg | None:
+    """None for what Pillow could not write again: odd sampling, colours stored as RGB."""
+    sampling = JpegImagePlugin.get_sampling(image)
+    if image.layers != 1 and (sampling < 0 or image.info.get("adobe_transform") == 0):
+        return None
+    tables = tuple(tuple(image.quantization[table]) for _, _, _, table in image.layer)
+    return Jpeg(tables, sampling, orientation if isinstance(orientation, int) else 1)
 
 
 def _read_tiff(path: Path) -> _Stored:
@@ -333,7 +359,7 @@ def _read_tiff(path: Path) -> _Stored:
         raise InputError(f"{path}: its first page has axes {axes}; save one flat picture")
     if photometric == "MINISWHITE":
         pixels = (1 if bits is None else 2**bits - 1) - pixels
-    return _Stored(_orient(_colour_first(pixels), orientation), bits, lossy)
+    return _Stored(orient(_colour_first(pixels), orientation), bits, lossy)
 
 
 def _read_exr(path: Path, any_channels: bool) -> np.ndarray:
@@ -370,7 +396,7 @@ def _check_size(path: Path, width: int, height: int) -> None:
         )
 
 
-def _orient(pixels: np.ndarray, orientation: object) -> np.ndarray:
+def orient(pixels: np.ndarray, orientation: object) -> np.ndarray:
     """The picture as its EXIF orientation (1 to 8) says to show it; other values change nothing.
 
     EXIF 2.32, tag 0x0112: where row 0 and column 0 of the stored picture belong.

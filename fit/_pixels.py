@@ -8,11 +8,13 @@ import contextlib
 import mmap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int8
+from jaxtyping import Bool, Float, Int, Int8, UInt
 
 from model_jax import InputError, Layers, layer_widths
 
@@ -139,15 +141,16 @@ def take_columns(photo: PhotoLike, layers: Layers, pixels: Pixels, width_unit: f
     index = np.flatnonzero(pixels.used).astype(np.int32)  # `load_photo` reads fewer than 2^28
     clipped = None
     if isinstance(photo, Photo) and photo.codes is not None:
-        clipped = _clipped(photo, index)
+        clipped = _clipped(photo, photo.codes.reshape(-1, 3)[index])
+        if not clipped.any():
+            clipped = None
     if clipped is not None:
         last = np.argsort(clipped.any(axis=1), kind="stable")
         index, clipped = index[last], clipped[last]
     light = light_at(photo, index)
     light = light.astype(np.result_type(light, np.float32), copy=False)
     if clipped is not None and isinstance(photo, Photo):
-        black, white = photo.limits
-        light = np.where(clipped > 0, white, np.where(clipped < 0, black, light))
+        light = _bounded(photo, light, clipped)
     lit, dark = _widths(layers, index, width_unit)
     surface = None
     if layers.surface is not None:
@@ -173,42 +176,68 @@ def to_samples(
 
     With weights, of pseudo-pixels: they are fewer, and so is the room for them.
     """
-    tiles = [-(-len(c.lit) // tile) for c in columns]
-    room = capacity(sum(tiles), ROOM if weights is None else FEW_ROOM)
-    starts = np.cumsum([0, *tiles])
+    starts = _first_tiles(columns, tile)
+    room = capacity(int(starts[-1]), ROOM if weights is None else FEW_ROOM)
 
-    def fill(parts: list[np.ndarray | None], channels: bool, dtype: Any = np.float64) -> Any:
-        if all(part is None for part in parts):
-            return None
-        whole = _zeros((room, 3, tile) if channels else (room, tile), dtype)
-        for part, start in zip(parts, starts, strict=False):
-            if part is None or not len(part):
-                continue
-            full, rest = divmod(len(part), tile)
-            body = part[: full * tile].reshape((full, tile, *part.shape[1:]))
-            whole[start : start + full] = body.swapaxes(1, 2) if channels else body
-            if rest:
-                whole[start + full, ..., :rest] = part[full * tile :].T
-        return whole
+    def fill(parts: list[np.ndarray | None]) -> Any:
+        return _fill(parts, starts, room, tile)
 
     count = np.zeros(room, np.int32)
     photo = np.zeros(room, np.int32)
-    for number, (c, n, start) in enumerate(zip(columns, tiles, starts, strict=False)):
-        count[start : start + n] = np.minimum(tile, len(c.lit) - tile * np.arange(n))
-        photo[start : start + n] = number
+    for number, (c, (start, end)) in enumerate(zip(columns, pairwise(starts), strict=True)):
+        count[start:end] = np.minimum(tile, len(c.lit) - tile * np.arange(end - start))
+        photo[start:end] = number
     return Samples(
-        lit=fill([c.lit for c in columns], False),
-        dark=fill([c.dark for c in columns], False),
-        light=fill([c.light for c in columns], True, np.result_type(*(c.light for c in columns))),
-        surface=fill([c.surface for c in columns], True),
-        clipped=fill([c.clipped for c in columns], True, np.int8),
+        lit=fill([c.lit for c in columns]),
+        dark=fill([c.dark for c in columns]),
+        light=fill([c.light for c in columns]),
+        surface=fill([c.surface for c in columns]),
+        clipped=fill([c.clipped for c in columns]),
         one=None,
-        weight=None if weights is None else fill(list(weights), False),
+        weight=None if weights is None else fill(list(weights)),
         count=count,
         photo=photo,
-        used=np.asarray(sum(tiles), np.int32),
+        used=np.asarray(starts[-1], np.int32),
         color=np.stack([c.color for c in columns]),
     )
+
+
+def relit(samples: Samples, columns: Sequence[Columns]) -> Samples:
+    """Samples on the device, of the same pixels with other light, clipped elsewhere if at all."""
+    room, tile = samples.lit.shape
+    starts = _first_tiles(columns, tile)
+    light = _fill([c.light for c in columns], starts, room, tile)
+    clipped = _fill([c.clipped for c in columns], starts, room, tile)
+    with jax.enable_x64(True):
+        light, clipped = jax.device_put((light, clipped), may_alias=True)
+    return eqx.tree_at(
+        lambda s: (s.light, s.clipped), samples, (light, clipped), is_leaf=lambda x: x is None
+    )
+
+
+def _first_tiles(columns: Sequence[Columns], tile: int) -> Int[np.ndarray, " _"]:
+    """Where each photo's tiles begin, and where the last one's end."""
+    return np.cumsum([0, *(-(-len(c.lit) // tile) for c in columns)])
+
+
+def _fill(
+    parts: Sequence[np.ndarray | None], starts: Int[np.ndarray, " _"], room: int, tile: int
+) -> Any:
+    """One array of tiles, [room, n] or [room, 3, n]; 0 where a part is None, None if all are."""
+    known = [part for part in parts if part is not None]
+    if not known:
+        return None
+    channels = known[0].ndim == 2
+    whole = _zeros((room, 3, tile) if channels else (room, tile), np.result_type(*known))
+    for part, start in zip(parts, starts, strict=False):
+        if part is None or not len(part):
+            continue
+        full, rest = divmod(len(part), tile)
+        body = part[: full * tile].reshape((full, tile, *part.shape[1:]))
+        whole[start : start + full] = body.swapaxes(1, 2) if channels else body
+        if rest:
+            whole[start + full, ..., :rest] = part[full * tile :].T
+    return whole
 
 
 def share_widths(columns: Sequence[Columns], samples: Samples) -> tuple[Columns, ...]:
@@ -242,13 +271,32 @@ def _zeros(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
     return np.frombuffer(pages, dtype, int(np.prod(shape))).reshape(shape)
 
 
-def _clipped(photo: Photo, index: np.ndarray) -> Int8[np.ndarray, "n 3"] | None:
-    """Which samples are at the lowest or the highest code; None when none is."""
-    assert photo.codes is not None
-    codes = photo.codes.reshape(-1, 3)[index]
+def with_codes(columns: Columns, photo: Photo, codes: UInt[np.ndarray, "n 3"]) -> Columns:
+    """The columns as if the photo had stored these codes in the used pixels.
+
+    Of columns without clipped samples none is taken as one.
+    """
+    assert photo.light is not None
+    light = photo.light[codes]
+    if columns.clipped is None:
+        return replace(columns, light=light)
+    clipped = _clipped(photo, codes)
+    return replace(columns, light=_bounded(photo, light, clipped), clipped=clipped)
+
+
+def _clipped(photo: Photo, codes: UInt[np.ndarray, "n 3"]) -> Int8[np.ndarray, "n 3"]:
+    """Which samples are at the lowest or the highest code."""
     clipped = (codes == photo.top).astype(np.int8)
     clipped -= codes == 0
-    return clipped if clipped.any() else None
+    return clipped
+
+
+def _bounded(
+    photo: Photo, light: Float[np.ndarray, "n 3"], clipped: Int8[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """The light, and the bound that it tells where it is clipped."""
+    black, white = photo.limits
+    return np.where(clipped > 0, white, np.where(clipped < 0, black, light))
 
 
 _CHUNK = 65536

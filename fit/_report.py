@@ -91,6 +91,9 @@ def report_html(document: dict[str, Any], sections: Sequence[Section], command: 
         influence_stops=pictures.color_stops(pictures.INFLUENCE),
         weight_stops=pictures.color_stops(pictures.WEIGHT),
         parameters=[_row(name, e) for name, e in shown_parameters(document).items()],
+        compressed=any(
+            e.get("compression_shift") is not None for e in shown_parameters(document).values()
+        ),
         told=_told(document),
         errors=_errors(document),
         correlation=_correlation(document.get("correlation")),
@@ -339,6 +342,7 @@ def _row(name: str, estimate: dict[str, Any]) -> dict[str, Any]:
         "role": "fitted" if role == "free" else "not told" if role == "held" else role,
         "kind": kind,
         "quantisation": number(estimate.get("quantisation_bound"), 2),
+        "compression": number(estimate.get("compression_shift"), 2),
     }
 
 

@@ -333,7 +333,7 @@ def _steps(
         square_sum = float(gram[-1, -1])
         if not (64 * eps) ** 2 * square_sum + eps * problem.rounding < promise < np.inf:
             break
-        tried = vector - along @ _gauss_newton(gram)
+        tried = vector - along @ gauss_newton(gram)
         if not np.isfinite(tried).all() or is_outside(tried, free):
             break
         after = problem.gram(tried, along)
@@ -352,10 +352,10 @@ def _is_done(problem: Problem, gram: np.ndarray, along: np.ndarray) -> bool:
 
 def _promise(gram: Float[np.ndarray, "q q"]) -> float:
     """Gauss–Newton's word on how far the square sum would still fall: the gradient, scaled."""
-    return float(gram[:-1, -1] @ _gauss_newton(gram)) if np.isfinite(gram).all() else np.inf
+    return float(gram[:-1, -1] @ gauss_newton(gram)) if np.isfinite(gram).all() else np.inf
 
 
-def _gauss_newton(gram: Float[np.ndarray, "q q"]) -> Float[np.ndarray, " p"]:
+def gauss_newton(gram: Float[np.ndarray, "q q"]) -> Float[np.ndarray, " p"]:
     """The step, to be subtracted, along the directions of the matrix."""
     size = np.sqrt(np.maximum(np.diag(gram)[:-1], 0))
     size = np.where(size > 0, size, 1.0)

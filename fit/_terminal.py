@@ -25,7 +25,7 @@ from ._wording import (
     verdict_sentence,
 )
 
-_DISPENSABLE = ("unit", "rounding ≤", "start", "prior")
+_DISPENSABLE = ("unit", "rounding ≤", "JPEG", "start", "prior")
 """Columns that a narrow terminal goes without, in this order; the report has them all."""
 
 
@@ -151,6 +151,7 @@ def _parameters(document: dict[str, Any], width: int) -> Table:
         "value ± stderr": [measured(row["value"], row["stderr"]) for row in rows.values()],
         "95 % interval": [_or_blank(span(row["interval"])) for row in rows.values()],
         "rounding ≤": [_or_blank(number(row["quantisation_bound"], 2)) for row in rows.values()],
+        "JPEG": [_or_blank(number(row.get("compression_shift"), 2)) for row in rows.values()],
         "start": [number(row["initial"]) for row in rows.values()],
         "role": [role_of(row) for row in rows.values()],
         "prior": [known_before(row["prior"]) for row in rows.values()],
@@ -163,7 +164,7 @@ def _parameters(document: dict[str, Any], width: int) -> Table:
             columns.pop(name, None)
     table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="dim")
     for name in columns:
-        right = name in ("rounding ≤", "start")
+        right = name in ("rounding ≤", "JPEG", "start")
         table.add_column(name, justify="right" if right else "left", overflow="fold")
     for row in zip(*columns.values(), strict=True):
         table.add_row(*(Text(cell) for cell in row))

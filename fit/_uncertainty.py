@@ -18,7 +18,7 @@ H is the full second derivative, of the loss and of the model: by the implicit f
 `-H⁻¹ ∂score/∂light` is the influence of each sample on the fitted values.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -48,7 +48,7 @@ stops at 4.5 instead of at infinity."""
 NORMAL_95 = 1.959963984540054
 """Standard errors to either side of a 95 % interval of a normal distribution."""
 _LAGS = 64
-_GROUP = 32
+_GROUP = 8
 
 
 @dataclass(frozen=True)
@@ -211,19 +211,43 @@ def residuals_of(
     columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
 ) -> list[Float[np.ndarray, "_ 3"]]:
     """Recorded minus predicted light of each photo's used samples; NaN where one is clipped."""
+    found = _by_photo(columns, samples, lambda tiles: _residuals(vector, samples, model, tiles))
+    for c, residual in zip(columns, found, strict=True):
+        if c.clipped is not None:
+            residual[c.clipped != 0] = np.nan
+    return found
+
+
+def predictions_of(
+    columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """Predicted light of each photo's used samples."""
+    return _by_photo(columns, samples, lambda tiles: _predictions(vector, samples, model, tiles))
+
+
+def area_of(
+    columns: Sequence[Columns],
+    sizes: Sequence[tuple[int, int]],
+    residuals: Sequence[Float[np.ndarray, "_ 3"]],
+) -> float:
+    """Pixels that count as one: `Spread.area`."""
+    return _correlation(columns, sizes, residuals)[1]
+
+
+def _by_photo(
+    columns: Sequence[Columns], samples: Samples, of_tiles: Callable[[np.ndarray], jax.Array]
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """What is computed tile by tile, [tiles, 3, n], in the order of each photo's columns."""
     found = [np.empty_like(c.light) for c in columns]
     starts = [0] * len(columns)
     count, photo = np.asarray(samples.count), np.asarray(samples.photo)
     with jax.enable_x64(True):
         for filled, numbers in _groups(samples):
-            residual = np.asarray(_tile_residuals(vector, samples, model, numbers))
+            values = np.asarray(of_tiles(numbers))
             for k in range(filled):
                 n, which = count[numbers[k]], photo[numbers[k]]
-                found[which][starts[which] : starts[which] + n] = residual[k, :, :n].T
+                found[which][starts[which] : starts[which] + n] = values[k, :, :n].T
                 starts[which] += n
-    for c, residual in zip(columns, found, strict=True):
-        if c.clipped is not None:
-            residual[c.clipped != 0] = np.nan
     return found
 
 
@@ -236,14 +260,20 @@ def _groups(samples: Samples) -> Iterator[tuple[int, np.ndarray]]:
 
 
 @eqx.filter_jit
-def _tile_residuals(
-    vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray
-) -> jax.Array:
+def _residuals(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray) -> jax.Array:
     def residual(number: jax.Array) -> jax.Array:
         tile = tile_at(samples, number)
         return tile.light - predict(vector, tile, model.linear)
 
     return jax.lax.map(residual, jnp.asarray(numbers))
+
+
+@eqx.filter_jit
+def _predictions(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray) -> jax.Array:
+    def predicted(number: jax.Array) -> jax.Array:
+        return predict(vector, tile_at(samples, number), model.linear)
+
+    return jax.lax.map(predicted, jnp.asarray(numbers))
 
 
 def _block_sums(

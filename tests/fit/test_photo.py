@@ -395,6 +395,13 @@ def test_jpegs_are_known_by_what_they_hold(tmp_path: Path) -> None:
     codes = np.zeros((16, 16, 3), np.uint8)
     for name, lossy in (("a.jpg", True), ("a.png", False), ("a.tif", False)):
         Image.fromarray(codes).save(tmp_path / name)
-        assert load_photo(tmp_path / name).lossy is lossy
+        photo = load_photo(tmp_path / name)
+        assert photo.lossy is lossy
+        assert (photo.jpeg is not None) is lossy
     Image.fromarray(codes).save(tmp_path / "b.tif", compression="jpeg")
     assert load_photo(tmp_path / "b.tif").lossy
+    assert load_photo(tmp_path / "b.tif").jpeg is None
+    # Colours stored as they are, which Pillow writes, but not of RGB pictures by itself.
+    Image.fromarray(codes).save(tmp_path / "rgb.jpg", keep_rgb=True)
+    assert load_photo(tmp_path / "rgb.jpg").lossy
+    assert load_photo(tmp_path / "rgb.jpg").jpeg is None

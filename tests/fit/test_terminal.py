@@ -29,6 +29,7 @@ def row(value: float, stderr: float | None = None, **changes: Any) -> dict[str, 
         "prior": None,
         "tied_to": None,
         "quantisation_bound": None,
+        "compression_shift": None,
         "meaning": "",
     } | changes
 
@@ -178,6 +179,13 @@ CASES: dict[str, dict[str, Any]] = {
             },
         ],
         second_opinion="same",
+    ),
+    "jpeg": document(
+        parameters=LOOK
+        | {
+            "brightness": row(2.9875, 0.0051, unit="1/width_unit", compression_shift=-0.0231),
+            "shadow": row(0.2011, 0.0012, compression_shift=0.00017),
+        },
     ),
     "robust": document(
         loss="cauchy",

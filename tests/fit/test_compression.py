@@ -1,0 +1,202 @@
+"""What JPEG did is done again exactly, and taken off the fitted values."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from PIL import ExifTags, Image
+
+from fit import FitResult, Photo, fit, load_photo
+from fit._compression import _Camera, _Noise, _read_backwards
+from fit._pixels import Columns
+from model_jax import Layers, Look
+from model_jax._tone import Srgb
+
+from .looks import START, picture
+
+SIZE = (50, 70)  # no multiple of a block
+
+
+def columns_at(photo: Photo, index: np.ndarray) -> Columns:
+    nothing = np.zeros(len(index))
+    return Columns(
+        index=index.astype(np.int32),
+        lit=nothing,
+        dark=None,
+        light=photo.linear_at(index),
+        surface=None,
+        clipped=None,
+        color=np.ones(3),
+        width_error=0.0,
+    )
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param({"quality": 85}, id="4:2:0"),
+        pytest.param({"quality": 60, "subsampling": 1}, id="4:2:2"),
+        pytest.param({"quality": 95, "subsampling": 0}, id="4:4:4"),
+        pytest.param({"quality": 85, "progressive": True}, id="progressive"),
+        pytest.param({"quality": 85, "orientation": 6}, id="turned"),
+        pytest.param({"quality": 85, "orientation": 2}, id="mirrored"),
+        pytest.param({"quality": 85, "grey": True}, id="grey"),
+    ],
+)
+def test_a_file_is_made_again(options: dict[str, Any], tmp_path: Path) -> None:
+    """The light that was stored gives, without noise, each code that the file holds."""
+    options = dict(options)
+    orientation, grey = options.pop("orientation", 1), options.pop("grey", False)
+    rng = np.random.default_rng(3)
+    rows, cols = np.indices(SIZE)
+    smooth = 120 + 60 * np.sin(cols / 9)[..., None] * np.cos(rows / 7)[..., None] * [1, 0.6, -0.5]
+    codes = np.clip(smooth + rng.normal(scale=4, size=(*SIZE, 3)), 0, 255).astype(np.uint8)
+    if grey:
+        codes = codes[..., :1].repeat(3, axis=2)
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    image = Image.fromarray(codes[..., 0] if grey else codes)
+    image.save(tmp_path / "a.jpg", exif=exif, **options)
+    photo = load_photo(tmp_path / "a.jpg")
+
+    Image.fromarray(codes).save(tmp_path / "a.png", exif=exif)
+    before = load_photo(tmp_path / "a.png")
+    chosen = rng.random(codes[..., 0].size) < 0.7
+    used, near = columns_at(photo, np.flatnonzero(chosen)), np.flatnonzero(~chosen)
+    light, near_light = before.linear_at(used.index), before.linear_at(near)
+    camera = _Camera(
+        photo,
+        used,
+        columns_at(photo, near),
+        light,
+        near_light,
+        np.ones_like(light),  # as much noise as lets all pixels agree with the model
+        robust=False,
+    )
+    camera._noise = _Noise(np.array([0.0, 1.0]), np.zeros(2))
+    taken = camera.take(light, near_light, rng)
+    np.testing.assert_array_equal(taken.light, photo.linear_at(used.index))
+
+
+def test_a_line_is_read_backwards() -> None:
+    rng = np.random.default_rng(4)
+    slope = np.array([[0.9, 0.2, 0.0], [-0.1, 1.1, 0.0], [0.0, 0.3, 0.5]])
+    scale = np.array([1e-3, 1.0, 1e4])
+    found, covariances = [], []
+    for _ in range(300):
+        steps = rng.normal(size=(40, 3))
+        ends = 0.7 + steps @ slope.T + rng.normal(scale=0.05, size=(40, 3))
+        read = _read_backwards(steps * scale, ends * scale)
+        assert read is not None
+        found.append(read[0] / scale)
+        covariances.append(read[1] / scale / scale[:, None])
+    truth = -np.linalg.solve(slope, np.full(3, 0.7))
+    # One photo's scatter, of which the line's own uncertainty is a seventh or so.
+    expected = 0.05**2 * np.linalg.inv(slope.T @ slope)
+    np.testing.assert_allclose(np.mean(found, axis=0), truth, atol=0.01)
+    ratio = np.diag(np.mean(covariances, axis=0)) / np.diag(expected)
+    assert np.all((ratio > 0.95) & (ratio < 1.4)), ratio
+
+
+def test_a_level_line_says_nothing() -> None:
+    rng = np.random.default_rng(5)
+    steps = rng.normal(size=(40, 2))
+    ends = np.column_stack([steps[:, 0], np.zeros(40)])
+    assert _read_backwards(steps, ends) is None
+    assert _read_backwards(np.zeros((40, 2)), ends) is None
+    assert _read_backwards(steps, np.full((40, 2), np.nan)) is None
+
+
+LOOK = Look(brightness=1.6, shadow=0.3, tint=(0.8, 0.95, 1.25), background=0.12)
+NAMES = ("brightness", "shadow", "tint.r", "tint.g", "tint.b", "background")
+
+
+def shot(layers: Layers, folder: Path, name: str, look: Look = LOOK, seed: int = 6) -> Photo:
+    """A photo with some noise, in the format of the name; level and light 0.03 noise apart."""
+    with jax.enable_x64(True):
+        light = picture(layers, look).astype(np.float64)
+    light += np.random.default_rng(seed).normal(scale=0.02, size=light.shape)
+    codes = np.rint(255 * np.clip(np.asarray(Srgb().encode(light)), 0, 1)).astype(np.uint8)
+    options: dict[str, Any] = {"quality": 85} if name.endswith("jpg") else {}
+    Image.fromarray(codes).save(folder / name, **options)
+    return load_photo(folder / name)
+
+
+def distances(result: FitResult) -> np.ndarray:
+    """Of `NAMES` from their truth, in standard errors."""
+    truth = [LOOK.brightness, LOOK.shadow, *LOOK.tint, LOOK.background]
+    found = [result.parameters[name] for name in NAMES]
+    assert all(e.stderr is not None for e in found)
+    return np.array(
+        [(e.value - t) / (e.stderr or np.nan) for e, t in zip(found, truth, strict=True)]
+    )
+
+
+def test_the_values_are_those_before_compression(layers64: Layers, tmp_path: Path) -> None:
+    """Least squares of a JPEG's codes is off by more than four of its standard errors somewhere."""
+    photo = shot(layers64, tmp_path, "a.jpg")
+    plain = fit(replace(photo, jpeg=None), layers64, START)
+    undone = fit(photo, layers64, START)
+    assert np.abs(distances(plain)).max() > 4
+    assert np.abs(distances(undone)).max() < 4
+    assert any("compression" in warning for warning in plain.warnings)
+    assert not any("compression" in warning for warning in undone.warnings)
+    for name in NAMES:
+        before, after = plain.parameters[name], undone.parameters[name]
+        assert before.compression_shift is None
+        assert after.compression_shift is not None
+        assert after.value == pytest.approx(before.value + after.compression_shift, abs=1e-12)
+    assert undone.look.brightness == undone.parameters["brightness"].value
+    assert undone.verdict == plain.verdict == "converged"
+    tints = [undone.parameters[name].value for name in NAMES[2:5]]
+    assert np.mean(tints) == pytest.approx(1, abs=1e-12)
+    again = fit(photo, layers64, START)
+    assert again.to_dict()["parameters"] == undone.to_dict()["parameters"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param({"loss": "huber"}, id="robust"),
+        pytest.param({"priors": {"shadow": (0.3, 0.001)}}, id="prior"),
+        pytest.param({"bounds": {"shadow": (0.0, 0.301)}}, id="by a bound"),
+    ],
+)
+def test_other_fits(options: dict[str, Any], layers64: Layers, tmp_path: Path) -> None:
+    """They know of the compression too, and what was known before is not forgotten over it."""
+    result = fit(shot(layers64, tmp_path, "a.jpg"), layers64, START, **options)
+    assert result.verdict in ("converged", "at_bound")
+    assert result.parameters["brightness"].compression_shift is not None
+    shadow = result.parameters["shadow"]
+    assert shadow.bounds[0] <= shadow.value <= shadow.bounds[1]
+    if "priors" in options:
+        assert shadow.stderr is not None
+        assert shadow.stderr < 1.3 * 0.001  # known from 26 degrees of freedom, to a seventh
+        assert abs(shadow.value - 0.3) < 4 * 0.001
+    brightness = result.parameters["brightness"]
+    assert brightness.stderr is not None
+    assert abs(brightness.value - LOOK.brightness) < 4 * brightness.stderr
+
+
+def test_one_of_two_photos_is_a_jpeg(layers64: Layers, tmp_path: Path) -> None:
+    photos = [shot(layers64, tmp_path, "a.jpg"), shot(layers64, tmp_path, "b.png", seed=7)]
+    free = ("brightness", "shadow", "tint", "background")
+    result = fit(photos, [layers64] * 2, START, free=free)
+    assert result.verdict == "converged"
+    assert np.abs(distances(result)).max() < 4
+    assert all(result.parameters[name].compression_shift is not None for name in NAMES)
+
+
+def test_structure_is_not_taken_for_noise(layers64: Layers, tmp_path: Path) -> None:
+    """What the light was before compression is not known where the look cannot follow it."""
+    photo = shot(layers64, tmp_path, "a.jpg")
+    ramp = np.linspace(0, 25, photo.shape[1]).astype(np.uint8)
+    bent = replace(photo, stored=np.minimum(photo.stored, 230) + ramp[None, :, None])
+    result = fit(bent, layers64, START)
+    assert result.errors is not None
+    assert result.errors.correlation_px > 16
+    assert all(e.compression_shift is None for e in result.parameters.values())
+    assert any("compression" in warning for warning in result.warnings)
