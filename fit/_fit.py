@@ -1,7 +1,8 @@
 """`fit`: photos and layers in, look with error bars out.
 
 choose pixels ──> samples ──> search, by descents ──> errors ──> verdict
-(_pixels)         (_stream)   (_search, _solve)       (_uncertainty)  (here, _result)
+(_pixels)         (_stream)   (_search, _solve)       (_uncertainty,  (here, _result)
+                                                       _compression)
 """
 
 from collections.abc import Iterable, Mapping, Sequence

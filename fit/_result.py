@@ -172,7 +172,8 @@ class FitResult:
     correlation: Float[np.ndarray, "p p"]
     """Of rank one less than its size when the three tints are free: their mean is 1."""
     covariance: Float[np.ndarray, "p p"]
-    """Block sandwich (`_uncertainty`): residuals may be correlated and of any size."""
+    """Block sandwich (`_uncertainty`): residuals may be correlated and of any size. Of JPEGs the
+    scatter of fits to pictures that were compressed alike (`_compression`)."""
     errors: Errors | None
     """What the covariance rests on; None without data."""
     look: Look
