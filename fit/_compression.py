@@ -57,9 +57,9 @@ SETTLED = 1.3
 """Rounds end when no direction's variance has grown by more than this: what looks were drawn over
 is then as wide as what came out."""
 
-WIDTH = 2.0
+WIDTH = 1.5
 """Looks are drawn so many standard errors wide: narrower leaves the line's slope to the scatter,
-wider leaves the neighbourhood that matters."""
+wider takes the bend of what is no line for scatter."""
 
 LEVEL = 0.05
 """A line that rises by less in some direction says nothing there; looks are drawn wider."""
@@ -69,7 +69,7 @@ LEVELS = 8
 
 _TUNINGS = 5
 _MEASURED = 2
-"""Pairs of a round whose residuals' area is measured."""
+"""Pairs of a round whose residuals' area is measured; more than the larger one counts."""
 _BAND = 128
 """Rows of a window, whose encoding and decoding needs no other."""
 _BLOCK = 16
@@ -167,7 +167,7 @@ def undo_compression(
                 continue
             before, (shift, covariance) = covariance, line
             # Made-up noise does not hang together before compression; noise that did tells less.
-            covariance = covariance * max(1.0, area / (sum(areas) / _MEASURED))
+            covariance = covariance * max(1.0, area / max(areas))
             if _growth(before, covariance) <= SETTLED:
                 break
     return None if line is None else Undone(shift, covariance, float(count - p - 1))
