@@ -405,8 +405,11 @@ def _correlation(
     The length is the lag at which the mean over all directions has fallen below what is left of
     independent residuals by chance (three standard deviations), or below 1/20.
     """
+    # Sums of squares in float32, whatever the unit of light: of residuals up to one.
+    unit = 2.0 ** np.frexp(max((_largest(r) for r in residuals), default=0.0))[1]
     found = [
-        _products(c.index, size, r) for c, size, r in zip(columns, sizes, residuals, strict=True)
+        _products(c.index, size, r, unit)
+        for c, size, r in zip(columns, sizes, residuals, strict=True)
     ]
     products = [product for product, _ in found]
     total, pairs = np.sum(products, axis=0), np.sum([pair for _, pair in found], axis=0)
@@ -426,10 +429,19 @@ def _correlation(
     return float(max(length, 1)), area, products
 
 
+def _largest(residual: Float[np.ndarray, "_ 3"]) -> float:
+    """Largest absolute value of what is no NaN; 0 of none."""
+    highest = np.fmax.reduce(residual, axis=None, initial=0.0)
+    return float(max(highest, -np.fmin.reduce(residual, axis=None, initial=0.0)))
+
+
 def _products(
-    index: np.ndarray, size: tuple[int, int], residual: np.ndarray
+    index: np.ndarray, size: tuple[int, int], residual: np.ndarray, unit: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Σ r(x) r(x + d) and the number of pairs, for lags d up to `_LAGS`; summed over channels."""
+    """Σ r(x) r(x + d) and the number of pairs, for lags d up to `_LAGS`; mean over channels.
+
+    Residuals r in `unit`s.
+    """
     if not index.size:
         nothing = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
         return nothing, nothing
@@ -448,7 +460,7 @@ def _products(
     products = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
     image = np.zeros_like(mask)
     for channel in residual.T:  # not their mean: JPEG's errors of colour have none
-        image[rows, cols] = np.nan_to_num(channel)
+        image[rows, cols] = np.nan_to_num(channel) / unit
         products += lagged(image) / residual.shape[1]
     return products, np.maximum(np.round(lagged(mask)), 0)
 
