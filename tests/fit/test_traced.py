@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fit import FitResult, TracedFit, Verdict, fit
+from fit import FitResult, TracedFit, Verdict, _search, _traced, fit
 from model_jax import InputError, Layers, Look, Response, analytic_layers
 
 from .looks import START, TRUTH, picture, scene
@@ -125,6 +125,25 @@ def test_derivative_by_what_is_fixed(layers64: Layers, photo64: np.ndarray) -> N
     assert slopes[1, 0] == pytest.approx(found, rel=1e-4)
     found = central(lambda e: float(refit(exposure=e).look.brightness), 1.1, 1e-3)
     assert slopes[2, 1] == pytest.approx(found, rel=1e-4)
+
+
+def test_too_few_steps_do_not_converge(
+    layers: Layers, stack: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Traced or not, when the exact steps at the end, which save every descent, are left out."""
+    for module, name, steps in (
+        (_traced, "_STEPS", 1),
+        (_traced, "_NEWTON_STEPS", 1),
+        (_traced, "SHADOWS", ()),
+        (_search, "_FINISHES", 0),
+        (_search, "_FINISH_STEPS", 0),
+    ):
+        monkeypatch.setattr(module, name, steps)
+    far = Look(1.0, 30.0)
+    traced = jax.jit(jax.vmap(lambda photo: fit(photo, layers, far)))(stack[:2])
+    assert traced.verdict.tolist() == [int(Verdict.NOT_CONVERGED)] * 2
+    assert np.isnan(np.asarray(traced.covariance)).all()
+    assert fit(stack[0], layers, far, max_steps=1).verdict == Verdict.NOT_CONVERGED.label
 
 
 def test_what_a_traced_photo_cannot_tell(layers: Layers, stack: np.ndarray) -> None:
