@@ -20,7 +20,7 @@ from jaxtyping import Float
 from model_jax import InputError, Layers, Look, Response
 from model_jax._shapes import AnyArray
 
-from ._bare_limb import EVIDENCE, find_air
+from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
 from ._compression import Undone, undo_compression
 from ._loss import Loss, LossName, check_loss, weigh
 from ._parameters import (
@@ -747,12 +747,14 @@ def _estimate(
 def _airless(task: _Task, columns: Sequence[Columns], result: FitResult) -> str | None:
     """Why no photo shows any air, or None.
 
-    Asked only where the look leaves more of the light unexplained than a bare limb could: a blurred
-    edge does not have the shape of a shell, and the question costs seconds.
+    Asked only where the look leaves more of the light unexplained than `NO_BARE_LIMB`: the question
+    costs up to seconds. A share that holds the planet's surface tells less, and so does the ring
+    beside it: `WELL_EXPLAINED` is enough there.
     """
     found: list[str] = []
     for photo, layers, c, one in zip(task.photos, task.layers, columns, result.photos, strict=True):
-        well = one.explained is not None and one.explained >= WELL_EXPLAINED
+        enough = NO_BARE_LIMB if layers.surface is None else WELL_EXPLAINED
+        well = one.explained is not None and one.explained >= enough
         if well or layers.planet is None or not np.any(layers.planet):
             return None
         widths = []
