@@ -287,7 +287,16 @@ def _judge(
     count = 3 * tile.weight.sum()
     size = jnp.sqrt(jnp.diagonal(curved))
     usable = jnp.where(size > 0, size, 1)
-    scaled = curved / usable[None] / usable[:, None]
+    near = jnp.stack([_near_bound(entries, q) for q in free])
+    # Along what stands at a bound and would go beyond, nothing is promised and nothing is told.
+    stuck = jnp.zeros(p, bool)
+    for k, q in enumerate(free):
+        if q.family != "tint":
+            moves = jnp.asarray(along[q.entries[0]] != 0)
+            stuck |= moves & (near[k] != 0) & (near[k] * gradient > 0)
+    either = stuck[None] | stuck[:, None]
+    scaled = jnp.where(either, jnp.eye(p, dtype=dtype), curved / usable[None] / usable[:, None])
+    gradient = jnp.where(stuck, 0, gradient)
     values, vectors = jnp.linalg.eigh(scaled)
     eps = float(jnp.finfo(dtype).eps)
     floor = 64 * p * eps
@@ -302,15 +311,8 @@ def _judge(
     middle = sums.T @ sums * (number / max(number - p, 1))
     spread = told @ inverse
     brightest = jnp.abs(tile.light).max()
-    near = jnp.stack(
-        [
-            (entries[q.entries[0]] - q.lower <= 1e-3 * q.scale)
-            | (q.upper - entries[q.entries[0]] <= 1e-3 * q.scale)
-            for q in free
-        ]
-    ).any()
     rounding = count * (eps * brightest) ** 2
-    code = jnp.where(near, Verdict.AT_BOUND, Verdict.CONVERGED)
+    code = jnp.where((near != 0).any(), Verdict.AT_BOUND, Verdict.CONVERGED)
     code = jnp.where(is_flat, Verdict.NOT_IDENTIFIABLE, code)
     # The gradient itself is only known to rounding: p sums over all samples.
     settled = promise <= 1e-3 * variance + 64 * p * rounding
@@ -318,8 +320,16 @@ def _judge(
     code = jnp.where(finite & jnp.isfinite(entries).all(), code, Verdict.DIVERGED)
     code = jnp.where((count > 3 * p) & (brightest > 0), code, Verdict.NO_DATA)
     covariance = spread @ middle @ spread.T
+    untold = jnp.asarray(told != 0) @ stuck
+    covariance = jnp.where(untold[None] | untold[:, None], jnp.nan, covariance)
     good = (code == Verdict.CONVERGED) | (code == Verdict.AT_BOUND)
     return jnp.where(good, covariance, jnp.nan), code
+
+
+def _near_bound(entries: jax.Array, p: Parameter) -> jax.Array:
+    """1 at the lower bound of a parameter, -1 at its upper one, 0 between."""
+    value, room = entries[p.entries[0]], 1e-3 * p.scale
+    return jnp.where(value - p.lower <= room, 1, jnp.where(p.upper - value <= room, -1, 0))
 
 
 def _told(

@@ -50,6 +50,24 @@ def test_vmap_over_photos_is_a_loop_over_fits(layers: Layers, stack: np.ndarray)
         assert np.all((ratio > 0.5) & (ratio < 2.0))
 
 
+def test_a_bound_is_told_as_in_a_loop(layers: Layers) -> None:
+    """A shadow that would have to be darker than black: the weight ends at 0, without an error."""
+    some, more = (
+        picture(layers, Look(3.0, weight, TRUTH.tint, TRUTH.background)) for weight in (0.2, 0.4)
+    )
+    noise = np.random.default_rng(3).normal(scale=NOISE, size=some.shape)
+    photo = (some - 1.5 * (more - some) + noise).astype(np.float32)  # at a weight of -0.1
+    known = fit(photo, layers, START)
+    assert known.verdict == "at_bound"
+    traced = jax.jit(lambda photo: fit(photo, layers, START))(photo)
+    assert int(traced.verdict) == Verdict.AT_BOUND
+    assert float(traced.look.shadow) == pytest.approx(0, abs=1e-3)
+    errors = dict(zip(traced.names, np.diag(traced.covariance), strict=True))
+    assert [name for name, variance in errors.items() if np.isnan(variance)] == ["shadow"]
+    stderr = known.parameters["brightness"].stderr
+    assert float(traced.look.brightness) == pytest.approx(known.look.brightness, abs=0.1 * stderr)
+
+
 def test_samples_that_are_not_finite_do_not_count(layers: Layers, stack: np.ndarray) -> None:
     broken = stack[0].copy()
     broken[20:40, 30:60] = np.nan
@@ -130,13 +148,15 @@ def test_derivative_by_what_is_fixed(layers64: Layers, photo64: np.ndarray) -> N
 def test_too_few_steps_do_not_converge(
     layers: Layers, stack: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Traced or not, when the exact steps at the end, which save every descent, are left out."""
+    """Traced or not, when what saves every descent is left out: the exact steps at the end, and
+    the second opinion that becomes the first."""
     for module, name, steps in (
         (_traced, "_STEPS", 1),
         (_traced, "_NEWTON_STEPS", 1),
         (_traced, "SHADOWS", ()),
         (_search, "_FINISHES", 0),
         (_search, "_FINISH_STEPS", 0),
+        (_search, "_OPINIONS", 0),
     ):
         monkeypatch.setattr(module, name, steps)
     far = Look(1.0, 30.0)
