@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, UInt
 
 from model_jax import InputError, Layers, layer_widths
+from model_jax._shapes import AnyArray
 
 from ._photo import REASONS, Photo
 from ._stream import TILE, Samples, capacity
@@ -310,24 +311,21 @@ def _widths(
     lit = np.empty(index.size)
     dark = np.empty(index.size) if layers.has_shadow else None
 
-    def part(depth: np.ndarray | None, chosen: np.ndarray) -> np.ndarray | None:
+    def part(depth: AnyArray, chosen: np.ndarray) -> np.ndarray:
         """Depths [1, chunk] of the chosen pixels, or of several shadows [n, 1, chunk]."""
-        if depth is None:
-            return None
         several = depth.shape[:-2]
         row = np.zeros((*several, 1, _CHUNK))
-        row[..., 0, : chosen.size] = depth.reshape(*several, -1)[..., chosen]
+        row[..., 0, : chosen.size] = np.asarray(depth).reshape(*several, -1)[..., chosen]
         return row
 
-    depths = [
-        None if depth is None else np.asarray(depth)
-        for depth in (layers.front, layers.back, layers.shadow_front, layers.shadow_back)
-    ]
+    shadows = [s for s in (layers.shadow_front, layers.shadow_back) if s is not None]
     with jax.enable_x64(True):
         for start in range(0, index.size, _CHUNK):
             end = min(start + _CHUNK, index.size)
             chosen = index[start:end]
-            piece = Layers(*[part(depth, chosen) for depth in depths], width_unit=unit)
+            front, back = part(layers.front, chosen), part(layers.back, chosen)
+            begin, until = [part(s, chosen) for s in shadows] or (None, None)
+            piece = Layers(front, back, begin, until, width_unit=unit)
             lit_piece, dark_piece = _jit_widths(piece)
             lit[start:end] = np.asarray(lit_piece)[0, : end - start]
             if dark is not None:

@@ -76,9 +76,7 @@ def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
     hit = cut & (behind > view.camera)
     back = jnp.where(hit, ground, back)
     for body in view.occluders:
-        met, (enter, leave) = ray_sphere(
-            x, y, *ray_offsets(body.aim, height, width), body.radius
-        )
+        met, (enter, leave) = ray_sphere(x, y, *ray_offsets(body.aim, height, width), body.radius)
         met &= leave + body.depth > view.camera
         back = jnp.where(met, jnp.minimum(back, enter + body.depth), back)
         hit |= met

@@ -55,8 +55,8 @@ class Layers(eqx.Module):
             raise InputError(
                 f"layers.color: {self.color} must be four numbers [red, green, blue, alpha]"
             )
-        front, back = (np.shape(depth) for depth in (self.shadow_front, self.shadow_back))
-        if (self.shadow_front is None) != (self.shadow_back is None) or front != back:
+        front, back = (() if s is None else s.shape for s in (self.shadow_front, self.shadow_back))
+        if front != back:
             raise InputError(
                 f"layers: shadow_front has shape {front} and shadow_back {back}; give both, of one "
                 "shape, or none"
@@ -73,8 +73,8 @@ class Layers(eqx.Module):
             return None if part is None else part[..., band, :]
 
         return Layers(
-            some(self.front),
-            some(self.back),
+            self.front[band],
+            self.back[band],
             some(self.shadow_front),
             some(self.shadow_back),
             None if self.surface is None else self.surface[band],

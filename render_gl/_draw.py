@@ -237,7 +237,7 @@ class _Passes:
         self.context.framebuffer([air]).clear()
         self.context.framebuffer(depths).clear(*[self.uniforms["empty"]] * 4)
         self._target([air, *depths]).use()
-        units = {"planet_atmosphere": 0, "band_rows": self.size[1]}
+        units: dict[str, Any] = {"planet_atmosphere": 0, "band_rows": self.size[1]}
         self._bind(behind, 0)
         if atlas is not None:
             self._bind(atlas, 1)
@@ -340,22 +340,25 @@ def _shadow_cones(scene: Scene) -> list[tuple[Mesh, bool]]:
     In world axes and planet radii. Occluders may be sixty radii away: cones are cut where the air
     ends on either side.
     """
+    if scene.sun is None:
+        return []
     drawn = []
+    basis, toward = np.asarray(scene.camera.basis()), np.asarray(scene.sun.direction)
+    reach = SHADOW_MARGIN * float(1 + scene.atmosphere.height / scene.planet.radius)
     for seen, cone in zip(shadows_in_view(scene), view_of(scene).cones, strict=True):
         if not seen:
             continue
-        basis, toward = np.asarray(scene.camera.basis()), np.asarray(scene.sun.direction)
-        reach = SHADOW_MARGIN * float(1 + scene.atmosphere.height / scene.planet.radius)
-        middle, tangent = np.asarray(cone.center) @ basis, float(cone.tangent)
+        middle = np.asarray(cone.center) @ basis
+        tangent, radius = float(cone.tangent), float(cone.radius)
         first, last = min(float(cone.base), reach), -reach
         if tangent > 0:
-            last = max(last, -float(cone.radius) / tangent)
-        radii = tuple(max(float(cone.radius) + tangent * at, 0.0) for at in (first, last))
-        mesh = cone_mesh(toward, (middle + first * toward, middle + last * toward), radii)
+            last = max(last, -radius / tangent)
+        ends = (middle + first * toward, middle + last * toward)
+        mesh = cone_mesh(toward, ends, (radius + tangent * first, max(radius + tangent * last, 0)))
         offset = np.asarray(scene.camera.position) / float(scene.planet.radius) - middle
         along = float(offset @ toward)
         across = float(np.linalg.norm(offset - along * toward))
-        inside = last < along < first and across < float(cone.radius) + tangent * along
+        inside = last < along < first and across < radius + tangent * along
         drawn.append((mesh, inside))
     return drawn
 

@@ -23,6 +23,7 @@ from ._exr import read_channels, write_channels
 from ._files import PathLike
 from ._scene_file import scene_hash, scene_record
 
+
 def write_layers(
     path: PathLike, layers: Layers, scene: Scene | None = None, picture: Rgba | None = None
 ) -> None:

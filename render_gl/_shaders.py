@@ -46,9 +46,7 @@ def shader_source(name: str, defines: Mapping[str, int] = NONE) -> str:
     return "\n".join([version, *lines, body])
 
 
-def program(
-    vertex: str, fragment: str, defines: Mapping[str, int] = NONE
-) -> "moderngl.Program":
+def program(vertex: str, fragment: str, defines: Mapping[str, int] = NONE) -> "moderngl.Program":
     """Compiled program of two shader files; compiled once per process and set of defines."""
     return _compile(shader_source(vertex, defines), shader_source(fragment, defines))
 

@@ -181,9 +181,7 @@ def test_one_shadow_of_several_is_the_contract_bit_for_bit(
 
 def test_the_order_of_shadows_does_not_show(rng: np.random.Generator, dtype: np.dtype) -> None:
     layers = shadows_of(rng, 4, dtype)
-    turned = Layers(
-        layers.front, layers.back, layers.shadow_front[::-1], layers.shadow_back[::-1]
-    )
+    turned = Layers(layers.front, layers.back, layers.shadow_front[::-1], layers.shadow_back[::-1])
     for width, again in zip(layer_widths(layers), layer_widths(turned), strict=True):
         # Shadows that begin together are added in the order given: sums are rounded differently.
         np.testing.assert_allclose(width, again, rtol=0, atol=5 * np.finfo(dtype).eps)
@@ -197,5 +195,7 @@ def test_half_a_shadow_is_refused() -> None:
 
 def test_rows_are_a_part_of_the_picture(rng: np.random.Generator) -> None:
     layers = shadows_of(rng, 3, np.dtype("float32"))
-    for width, some in zip(layer_widths(layers), layer_widths(layers.rows(slice(5, 9))), strict=True):
+    for width, some in zip(
+        layer_widths(layers), layer_widths(layers.rows(slice(5, 9))), strict=True
+    ):
         np.testing.assert_array_equal(width[5:9], some)
