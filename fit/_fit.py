@@ -430,7 +430,7 @@ def _prior(asked: Sequence[Parameter], noise: float, size: int) -> Prior | None:
 def _leave_out(
     task: _Task, columns: Sequence[Columns]
 ) -> tuple[tuple[Parameter, ...], list[LeftOut]]:
-    """What can be fitted at all: no shadow weight without shadow, no tint without colour."""
+    """What can be fitted at all: no weight without shadow, no tint without colour or alone."""
     asked = [p for p in task.parameters if p.role == "free"]
     left_out: list[LeftOut] = []
     count = sum(len(c.lit) for c in columns)
@@ -452,6 +452,10 @@ def _leave_out(
             why = f"the air's color is 0 in channel {channel}"
             left_out += [LeftOut(p.name, why) for p in asked if p.name in colourless]
             asked = [p for p in asked if p.name not in colourless]
+    tints = [p for p in asked if p.family == "tint"]
+    if tints and not directions(tints, task.parameters)[0].shape[1]:
+        left_out.append(LeftOut(tints[0].name, "the mean of the tints fixes the only free one"))
+        asked.remove(tints[0])
     return tuple(asked), left_out
 
 
@@ -596,10 +600,9 @@ def _verdict(task: _Task, end: End) -> Verdict:
         return Verdict.NOT_CONVERGED
     if end.at_bound:
         return Verdict.AT_BOUND
-    held = [p for flat in end.flat for p in flat.held]
-    if held and (task.named or any(p.family == "brightness" for p in held)):
-        return Verdict.NOT_IDENTIFIABLE
-    return Verdict.CONVERGED
+    told = {p.name for p in _told(task, end)}
+    lost = any(p.role == "free" and p.name not in told for p in task.parameters)
+    return Verdict.NOT_IDENTIFIABLE if task.named and lost else Verdict.CONVERGED
 
 
 def _told(task: _Task, end: End) -> list[Parameter]:

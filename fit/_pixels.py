@@ -172,10 +172,12 @@ def to_samples(
     columns: Sequence[Columns],
     tile: int = TILE,
     weights: Sequence[Float[np.ndarray, " _"]] | None = None,
+    ones: Sequence[Float[np.ndarray, " _"]] | None = None,
 ) -> Samples:
     """Tiles of all photos' columns; a part that any photo has, all have.
 
-    With weights, of pseudo-pixels: they are fewer, and so is the room for them.
+    With weights, of pseudo-pixels: they are fewer, and so is the room for them; `ones` are their
+    factors on levels.
     """
     starts = _first_tiles(columns, tile)
     room = capacity(int(starts[-1]), ROOM if weights is None else FEW_ROOM)
@@ -194,7 +196,7 @@ def to_samples(
         light=fill([c.light for c in columns]),
         surface=fill([c.surface for c in columns]),
         clipped=fill([c.clipped for c in columns]),
-        one=None,
+        one=None if ones is None else fill(list(ones)),
         weight=None if weights is None else fill(list(weights)),
         count=count,
         photo=photo,

@@ -8,7 +8,8 @@ of the pixels no more than the sums of products of columns and light. A factor o
 as rows, is at most nine pseudo-pixels with the same square sum for every look.
 
 `bins`: where the model is a function of the pair (lit, dark), pixels that agree in it tell their
-mean. A grid over the pair loses what varies within a bin, which is second order in its width.
+number, their mean and their sum of squares. A grid over the pair takes the middle for all of a bin,
+which is second order in its width.
 
 `thinned`: every k-th pixel, for robust losses and fitted surfaces, which know no such pairs.
 """
@@ -66,10 +67,11 @@ def bins(columns: Sequence[Columns]) -> Samples:
     """Means over bins of (lit, dark), photo by photo, weighted by their pixels.
 
     Clipped samples of one kind share their bound, so pixels in which the same channels are clipped
-    have bins of their own. The columns have no surface.
+    have bins of their own. The columns have no surface. The squares about the means are one more
+    pseudo-pixel, in which no look shows.
     """
-    binned, weights = zip(*(_bin(c) for c in columns), strict=True)
-    return to_samples(binned, weights=weights)
+    binned, weights, ones = zip(*(_bin(c) for c in columns), strict=True)
+    return to_samples(binned, weights=weights, ones=ones)
 
 
 def thinned(columns: Sequence[Columns]) -> Samples:
@@ -94,7 +96,10 @@ def thinned(columns: Sequence[Columns]) -> Samples:
     return to_samples(few, weights=[np.full(len(c.lit), float(step)) for c in few])
 
 
-def _bin(columns: Columns) -> tuple[Columns, Float[np.ndarray, " bins"]]:
+def _bin(
+    columns: Columns,
+) -> tuple[Columns, Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
+    """Pseudo-pixels, how many pixels each stands for, and the factor on its levels."""
     number = _bin_numbers(columns.lit)
     if columns.dark is not None:
         number = number * BINS + _bin_numbers(columns.dark)
@@ -109,11 +114,19 @@ def _bin(columns: Columns) -> tuple[Columns, Float[np.ndarray, " bins"]]:
         return np.bincount(number, values)[filled] / weight
 
     light = np.stack([mean(columns.light[:, k]) for k in range(3)], axis=-1)
-    dark = None if columns.dark is None else mean(columns.dark)
-    clipped = None if columns.clipped is None else columns.clipped[first]
-    lit = mean(columns.lit)
-    means = replace(columns, index=filled, lit=lit, dark=dark, light=light, clipped=clipped)
-    return means, weight
+    squares = np.einsum("nk,nk->k", columns.light, columns.light, dtype=np.float64)
+    within = np.sqrt(np.maximum(squares - weight @ light**2, 0))
+    means = replace(
+        columns,
+        index=np.append(filled, 0),
+        lit=np.append(mean(columns.lit), 0),
+        dark=None if columns.dark is None else np.append(mean(columns.dark), 0),
+        light=np.append(light, within[None], axis=0),
+        clipped=None
+        if columns.clipped is None
+        else np.append(columns.clipped[first], np.zeros_like(columns.clipped[:1]), axis=0),
+    )
+    return means, np.append(weight, 1), np.append(np.ones_like(weight), 0)
 
 
 def _bin_numbers(widths: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:

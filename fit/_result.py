@@ -185,8 +185,9 @@ class FitResult:
     history: tuple[float, ...]
     """Square sum after each step of the solver, start first; on its reduced samples if any."""
     second_opinion: str
-    """How a second descent by another method ended: "same", "higher", "lower"; "" where the model
-    is linear and its optimum known in closed form."""
+    """What the end was held against: "closed form" where the least square sum is known and not
+    lower; else how a second descent by another method ended: "same", "higher" or "lower"; "" where
+    nothing was left to fit."""
     seconds: dict[str, float] = field(default_factory=dict)
     """"reduce": reading pixels; "solve": descents and checks; "errors": covariance and bounds."""
     evidence: Any = field(default=None, repr=False, compare=False)

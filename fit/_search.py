@@ -5,8 +5,9 @@
 
 What the pixels do not tell is held at its start value, what ran against its bounds is held there;
 each time the rest is fitted again. The end point is judged here, not by the solver: by the square
-sum that one more Gauss–Newton step promises, at a bound by the sign of the slope, and where the
-model is not linear by a second descent, by another method from another start.
+sum that one more Gauss–Newton step promises, at a bound by the sign of the slope, and by a second
+opinion: the least square sum there is, where that has a closed form (`_closed_form`), else a second
+descent, by another method from another start.
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ._closed_form import least_square_sum
 from ._flat import Flat, find_flat
 from ._parameters import (
     Entries,
@@ -173,7 +175,7 @@ def search(
     Args:
         start: what is held stays at these values.
         seeds: where to start from, instead of looking for it.
-        last: get a second opinion where the model is not linear.
+        last: get a second opinion.
     """
     method = make_solver(solver)
     parameters = problem.parameters
@@ -223,7 +225,7 @@ def search(
             held, candidates = vector, [vector]
             continue
         second = ""
-        if last and not (problem.plain and problem.model.linear):
+        if last and along.shape[1]:
             second, other = _second_opinion(problem, vector, free, solver, start, margin)
             if second == "lower" and opinions < _OPINIONS:
                 opinions += 1
@@ -443,10 +445,21 @@ def _second_opinion(
     start: Entries,
     margin: float,
 ) -> tuple[str, Entries]:
-    """A descent by another method from another start: came out "same", "higher" or "lower"."""
+    """How the end compares with the best there is, and a better one if it is "lower".
+
+    "closed form" where that is known and no lower; else how a descent by another method from
+    another start came out: "same", "higher" or "lower".
+    """
     along, _ = directions(free, problem.parameters)
-    if not along.shape[1]:
-        return "same", vector
+    square_sum = problem.square_sum(vector)
+    margin = max(100 * margin, AGREE * square_sum)
+    if problem.plain and problem.model.linear and problem.model.prior is None:
+        least = least_square_sum(jax.device_get(problem.few), vector, free, problem.parameters)
+        if least is not None and not is_outside(least.vector, free):
+            # A factor of sums of products knows a square sum to some eps of all light.
+            room = margin + 64 * np.finfo(np.float64).eps * problem.count * problem.light_max**2
+            lower = least.square_sum < square_sum - room
+            return ("lower" if lower else "closed form"), least.vector
     other = make_solver("lm" if solver != "lm" else "dogleg")
     away = vector.copy()
     for p in problem.parameters:
@@ -461,8 +474,7 @@ def _second_opinion(
     if not descent.finite:
         return "higher", vector
     found, gram = _finish(problem, descent.entries, free)
-    best, square_sum = float(gram[-1, -1]), problem.square_sum(vector)
-    margin = max(100 * margin, AGREE * square_sum)
+    best = float(gram[-1, -1])
     if best > square_sum + margin:
         return "higher", vector
     return ("lower" if best < square_sum - margin else "same"), found

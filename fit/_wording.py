@@ -15,7 +15,8 @@ CLOSE = 0.9
 is then more than four times as uncertain as the other, √((1 + 0.9) / (1 - 0.9))."""
 
 SECOND_OPINIONS = {
-    "": "the model is linear in what was fitted, so its best fit is known in closed form",
+    "": "nothing was left to fit",
+    "closed form": "no look has a smaller square sum: its least value is known in closed form",
     "same": "a second descent, by another method from another start, ended at the same place",
     "higher": "a second descent, by another method from another start, ended higher up",
     "lower": "a second descent, by another method from another start, ended lower",

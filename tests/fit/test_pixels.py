@@ -250,7 +250,7 @@ def test_moments_keep_every_square_sum(scale: float, surface: bool, x64: None) -
 
 
 def test_bins_weigh_all_pixels(x64: None) -> None:
-    """Weights add up to the pixels, weighted means to the sums; clipped ones have their own."""
+    """Weights add up to the pixels, means and squares to the sums; clipped ones have their own."""
     rng = np.random.default_rng(2)
     first, second = pictures(rng, False, 1.0)
     clipped = np.zeros(first.light.shape, np.int8)
@@ -258,7 +258,7 @@ def test_bins_weigh_all_pixels(x64: None) -> None:
     light = np.where(clipped > 0, 0.9, np.where(clipped < 0, 0.1, first.light))
     first = replace(first, clipped=clipped, light=light)
     made = bins([first, second])
-    weight = np.asarray(made.weight)
+    every, weight = np.asarray(made.weight), np.asarray(made.weight) * np.asarray(made.one)
     tiles = [np.asarray(made.photo)[: int(made.used)] == k for k in range(2)]
     for columns, mine in zip((first, second), tiles, strict=True):
         rows = np.flatnonzero(mine)
@@ -270,6 +270,9 @@ def test_bins_weigh_all_pixels(x64: None) -> None:
             (np.asarray(made.light)[rows, 1], columns.light[:, 1]),
         ):
             assert (part * weight[rows]).sum() == pytest.approx(whole.sum(), rel=1e-12, abs=1e-10)
+        for k in range(3):
+            squares = (np.asarray(made.light)[rows, k] ** 2 * every[rows]).sum()
+            assert squares == pytest.approx((columns.light[:, k] ** 2).sum(), rel=1e-12)
     assert made.clipped is not None
     rows = np.flatnonzero(tiles[0])
     for kind, bound in ((1, 0.9), (-1, 0.1)):

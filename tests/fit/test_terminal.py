@@ -80,7 +80,7 @@ def document(**changes: Any) -> dict[str, Any]:
         "solver": "lm",
         "loss": "linear",
         "history": [41.2, 3.2, 0.91, 0.65],
-        "second_opinion": "",
+        "second_opinion": "closed form",
         "seconds": {"render": 0.25, "reduce": 0.04, "solve": 0.5, "errors": 0.12},
     } | changes
 

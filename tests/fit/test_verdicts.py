@@ -41,9 +41,20 @@ def test_without_sun_the_shadow_weight_is_left_out() -> None:
 def test_without_dark_pixels_the_shadow_weight_is_left_out(layers: Layers) -> None:
     photo = picture(layers, TRUTH).copy()
     photo[np.asarray(layer_widths(layers)[1]) > 0] = np.nan
-    result = fit(photo, layers, START, free=["brightness", "shadow", "tint", "background"])
+    result = fit(photo, layers, START)
     assert result.verdict == "converged"
     assert [item.why for item in result.left_out] == ["no pixel used is in shadow"]
+    asked = fit(photo, layers, START, free=["brightness", "shadow", "tint", "background"])
+    assert asked.verdict == "not_identifiable"
+    assert asked.left_out == result.left_out
+
+
+def test_a_lone_tint_is_left_out(layers: Layers) -> None:
+    """Tints keep their mean: one alone cannot move."""
+    result = fit(picture(layers, TRUTH), layers, START, free=["brightness", "tint.r"])
+    assert result.verdict == "not_identifiable"
+    assert [item.what for item in result.left_out] == ["tint.r"]
+    assert result.parameters["tint.r"].stderr is None
 
 
 def test_without_lit_pixels_shadow_is_held(layers: Layers) -> None:

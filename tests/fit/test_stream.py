@@ -1,0 +1,54 @@
+"""The exact pass is a residual like any other: optimistix's own solvers run on it as they are."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+import scipy.optimize
+
+from fit._loss import Loss
+from fit._parameters import chart, declare, to_entries
+from fit._pixels import choose_pixels, take_columns, to_samples
+from fit._solve import Atlas, Pass
+from fit._stream import Model, compressed
+from model_jax import Layers, Look, Response, composite
+
+from .looks import TRUTH, picture
+
+SOLVERS = {
+    "dogleg": optx.Dogleg(rtol=1e-12, atol=1e-12),
+    "lm": optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12),
+    "indirect lm": optx.IndirectLevenbergMarquardt(rtol=1e-12, atol=1e-12),
+    "gauss newton": optx.GaussNewton(rtol=1e-12, atol=1e-12),
+}
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_optimistix_solves_the_tiled_pass(name: str, layers64: Layers, x64: None) -> None:
+    """Brightness, shadow and background over six tiles: SciPy's optimum over all pixels."""
+    photo = picture(layers64, TRUTH)
+    photo = photo + np.random.default_rng(5).normal(scale=0.02, size=photo.shape)
+    pixels = choose_pixels(photo, layers64)
+    columns = take_columns(photo, layers64, pixels, float(layers64.width_unit))
+    samples = jax.tree.map(jnp.asarray, to_samples([columns], tile=len(columns.lit) // 5))
+    assert int(samples.used) == 6
+    start = Look(2.0, 0.4, TRUTH.tint)
+    parameters = declare(start, [Response()], free=["brightness", "shadow", "background"])
+    free = [p for p in parameters if p.role == "free"]
+    here = chart(to_entries(parameters), free, parameters)
+    whiten = jnp.eye(len(here.start))
+    atlas = Atlas(**{k: jnp.asarray(v) for k, v in vars(here).items()}, whiten=whiten)
+    whole = Pass(atlas, samples, Model(Loss("linear"), None, True), jnp.asarray(1.0))
+    solution = optx.least_squares(
+        compressed, SOLVERS[name], jnp.zeros_like(here.start), whole, max_steps=500, throw=False
+    )
+    found = atlas.entries(solution.value)
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        look = Look(x[0], x[1], TRUTH.tint, x[2])
+        return np.ravel((np.asarray(composite(layers64, look))[..., :3] - photo)[pixels.used])
+
+    best = scipy.optimize.least_squares(residual, [2.0, 0.4, 0.0], xtol=1e-12, ftol=1e-12).x
+    # SciPy's slopes are differences: good to 1e-8 of the numbers, of order one.
+    np.testing.assert_allclose([found[0], found[1], found[7]], best, rtol=0, atol=1e-6)
