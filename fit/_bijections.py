@@ -55,7 +55,7 @@ def from_value(
     # u = w / √(1 - w²) of w in (-1, 1), where 1 - w² = 4 · (way to lower) · (way to upper) / width²
     below, above = (value - base) / width, (top - value) / width
     inner = (below > 0) & (above > 0)
-    product = xp.where(both & inner, below * above, 0.25)
+    product = xp.where(both & inner, below, 0.5) * xp.where(both & inner, above, 0.5)
     between = xp.where(inner, (below - above) / (2 * xp.sqrt(product)), xp.nan)
     above_low = _inverse_hyperbola((value - base) / scale)
     below_high = -_inverse_hyperbola((top - value) / scale)

@@ -254,7 +254,8 @@ def check(
 def export(
     fit_json: Annotated[str, typer.Argument(metavar="FIT.json", help="What a fit wrote.")],
     to: Annotated[
-        Format, typer.Option(help="Shader constants, flat JSON, a scene's [look], or a table.")
+        Format,
+        typer.Option(help="Shader constants or uniforms, flat JSON, a scene's [look], or a table."),
     ],
     out: Annotated[
         str | None, typer.Option("-o", "--out", metavar="FILE", help="Instead of standard output.")

@@ -38,6 +38,7 @@ class Format(StrEnum):
     """What `export_text` can write."""
 
     glsl = "glsl"
+    glsl_uniform = "glsl-uniform"
     json = "json"
     toml = "toml"
     csv = "csv"
@@ -124,7 +125,13 @@ def export_text(fitted: Fitted, to: Format) -> str:
 
     Raises `InputError` for GLSL where a value is beyond the range of float32.
     """
-    write = {Format.glsl: _glsl, Format.json: _json, Format.toml: _toml, Format.csv: _csv}[to]
+    write = {
+        Format.glsl: _glsl,
+        Format.glsl_uniform: _glsl_uniform,
+        Format.json: _json,
+        Format.toml: _toml,
+        Format.csv: _csv,
+    }[to]
     try:
         return write(fitted)
     except InputError as error:
@@ -315,6 +322,11 @@ def _glsl(fitted: Fitted) -> str:
         lines += ["", "// Parameters that this version of airlight does not know."]
         lines += _unknown_constants(unknown)
     return "\n".join(lines) + "\n"
+
+
+def _glsl_uniform(fitted: Fitted) -> str:
+    """The same numbers as defaults that a program may set: desktop GLSL, not that of WebGL."""
+    return re.sub("^const ", "uniform ", _glsl(fitted), flags=re.MULTILINE)
 
 
 def _unknown_constants(numbers: tuple[Number, ...]) -> Iterator[str]:

@@ -735,6 +735,7 @@ def _estimate(
         role=role,
         unit=p.unit,
         bounds=(p.lower, p.upper),
+        scale=p.scale,
         prior=None if p.prior is None else (p.prior.mean, p.prior.sigma),
         tied_to=p.tied_to,
         quantisation_bound=bias,

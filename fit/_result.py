@@ -84,6 +84,8 @@ class Estimate:
     "tied"."""
     unit: str
     bounds: tuple[float, float]
+    scale: float
+    """Typical size, where the start does not tell it."""
     prior: tuple[float, float] | None
     """Mean and standard deviation known before the photo."""
     tied_to: str | None
@@ -328,6 +330,7 @@ def _estimate_dict(e: Estimate) -> dict[str, Any]:
         "role": e.role,
         "unit": e.unit,
         "bounds": [_number(limit) for limit in e.bounds],
+        "scale": _number(e.scale),
         "prior": None if e.prior is None else [_number(number) for number in e.prior],
         "tied_to": e.tied_to,
         "quantisation_bound": _number(e.quantisation_bound),

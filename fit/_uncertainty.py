@@ -12,7 +12,8 @@ their noise, so that their residuals are too small. Each block's score is theref
 `(1 - leverage)^-½`, which makes the sandwich exact on average for independent noise, and intervals
 are as many standard errors wide as Student's t has at the sandwich's own degrees of freedom (Bell
 and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage samples",
-Survey Methodology 28, 2002; CR2 in Cameron and Miller, J. Human Resources 50, 2015).
+Survey Methodology 28, 2002; CR2 in Cameron and Miller, J. Human Resources 50, 2015). Leverages are
+by the slopes alone: second derivatives times noise are noise.
 
 H is the full second derivative, of the loss and of the model: by the implicit function theorem
 `-H⁻¹ ∂score/∂light` is the influence of each sample on the fitted values.
@@ -65,17 +66,17 @@ class Spread:
     area: float
     """Pixels that count as one: the integral of the residuals' autocorrelation, ≥ 1."""
     root: Float[np.ndarray, "p p"]
-    """R with R Rᵀ = H⁻¹."""
+    """H⁻¹ R⁻ᵀ, which is R where the model is linear: R Rᵀ = F⁻¹, F the squares of the slopes."""
     leverage: Float[np.ndarray, "blocks p p"]
-    """Rᵀ S R of each block, S its part of H: shares in what is known, which add up to 1."""
+    """Rᵀ S R of each block, S its part of F: shares in what is known, which add up to 1."""
 
     def freedom(self, to_told: Float[np.ndarray, "t p"]) -> Float[np.ndarray, " t"]:
         """Degrees of freedom of each told parameter's variance, ≥ 1.
 
         The variance is a square sum of the blocks' stretched scores z. Were residuals independent
-        and alike, these had the covariance P = diag(aᵀBa) - (Ba)(Ba)ᵀ with a = (1 - B)^-½ Rᵀ c, B a
-        block's leverage and c the parameter's row; a χ² with the same mean and variance has
-        (tr P)² / tr P² degrees of freedom (Satterthwaite, Biometrics Bulletin 2, 1946).
+        and alike, these had the covariance P = diag(aᵀBa) - (Ba)(Ba)ᵀ with a = (1 - B)^-½ Aᵀ c, B a
+        block's leverage, A the root and c the parameter's row; a χ² with the same mean and variance
+        has (tr P)² / tr P² degrees of freedom (Satterthwaite, Biometrics Bulletin 2, 1946).
         """
         stretch = _stretch(self.leverage)
         found = np.ones(len(to_told))
@@ -137,17 +138,17 @@ def spread_of(
         if blocks >= max(FEWEST_BLOCKS, 3 * p) or side <= unit or side - unit < length:
             break
         side -= unit
-    scores, curved = _block_sums(samples, model, vector, along, numbers)
-    hessian = curved.sum(axis=0)
+    scores, squares, hessian = _block_sums(samples, model, vector, along, numbers)
     prior = np.zeros((p, p))
     if model.prior is not None:
         prior = (along.T * np.asarray(model.prior.weight)) @ along
         hessian = hessian + prior
-    root = _inverse_root(hessian)
-    leverage = root.T @ curved @ root
-    whitened = np.einsum("gij,gj->gi", _stretch(leverage), scores @ root)
+    whiten = _inverse_root(squares.sum(axis=0) + prior)
+    leverage = whiten.T @ squares @ whiten
+    whitened = np.einsum("gij,gj->gi", _stretch(leverage), scores @ whiten)
     middle = whitened.T @ whitened * _border_share(products, side)
-    middle += noise**2 * root.T @ prior @ root
+    middle += noise**2 * whiten.T @ prior @ whiten
+    root = whiten @ np.linalg.inv(whiten.T @ hessian @ whiten)
     covariance = root @ middle @ root.T
     return Spread(covariance, hessian, length, side, blocks, area, root, leverage)
 
@@ -282,17 +283,22 @@ def _block_sums(
     vector: Entries,
     along: Float[np.ndarray, "e p"],
     blocks: Sequence[np.ndarray],
-) -> tuple[Float[np.ndarray, "blocks p"], Float[np.ndarray, "blocks p p"]]:
-    """Sums over each block of scores and of half the second derivatives, without priors."""
+) -> tuple[
+    Float[np.ndarray, "blocks p"], Float[np.ndarray, "blocks p p"], Float[np.ndarray, "p p"]
+]:
+    """Sums over each block of scores and of squares of slopes, and half the second derivative of
+    all, without priors."""
     p = along.shape[1]
     pairs = np.tril_indices(p)
     counts = [int(numbers.max(initial=-1)) + 1 for numbers in blocks]
     sums = [np.zeros((n, p + len(pairs[0]))) for n in counts]
     starts = [0] * len(blocks)
     count, photo = np.asarray(samples.count), np.asarray(samples.photo)
+    hessian = np.zeros((p, p))
     with jax.enable_x64(True):
         for filled, tiles in _groups(samples):
-            found = np.asarray(_tile_scores(vector, along, samples, model, tiles))
+            found, second = map(np.asarray, _tile_scores(vector, along, samples, model, tiles))
+            hessian += second[:filled].sum(axis=0)
             for k in range(filled):
                 n, which = count[tiles[k]], photo[tiles[k]]
                 numbers = blocks[which][starts[which] : starts[which] + n]
@@ -302,31 +308,33 @@ def _block_sums(
                 np.add.at(sums[which], numbers[runs], totals.T)
                 starts[which] += n
     total = np.concatenate(sums)
-    curved = np.zeros((len(total), p, p))
-    curved[:, pairs[0], pairs[1]] = total[:, p:]
-    curved[:, pairs[1], pairs[0]] = total[:, p:]
-    return total[:, :p], curved
+    squares = np.zeros((len(total), p, p))
+    squares[:, pairs[0], pairs[1]] = total[:, p:]
+    squares[:, pairs[1], pairs[0]] = total[:, p:]
+    return total[:, :p], squares, hessian
 
 
 @eqx.filter_jit
 def _tile_scores(
     vector: AnyArray, along: AnyArray, samples: Samples, model: Model, numbers: AnyArray
-) -> jax.Array:
-    """Of each pixel: p scores, then the lower half of half its second derivative; [tiles, q, n]."""
+) -> tuple[jax.Array, jax.Array]:
+    """Of each pixel p scores, then the lower half of its slopes' products, [tiles, q, n]; and half
+    the second derivative of each tile, [tiles, p, p]."""
     start, columns = jnp.asarray(vector), jnp.asarray(along)
     pairs = np.tril_indices(columns.shape[1])
 
-    def scores(number: jax.Array) -> jax.Array:
+    def scores(number: jax.Array) -> tuple[jax.Array, jax.Array]:
         tile = tile_at(samples, number)
 
         def score_at(step: jax.Array) -> tuple[jax.Array, jax.Array]:
             predicted, slopes = tile_slopes(start + columns @ step, columns, tile, model.linear)
-            _, score, _ = weigh(predicted - tile.light, tile.clipped, model.loss)
-            found = jnp.einsum("icn,cn->in", slopes, score) * tile.weight[None]
-            return found, found
+            _, score, curved = weigh(predicted - tile.light, tile.clipped, model.loss)
+            found = jnp.einsum("icn,cn->in", slopes, score * tile.weight[None])
+            squares = jnp.einsum("icn,icn,cn->in", slopes[pairs[0]], slopes[pairs[1]], curved)
+            return found.sum(axis=1), jnp.concatenate([found, squares * tile.weight[None]])
 
-        curved, score = jax.jacfwd(score_at, has_aux=True)(jnp.zeros(columns.shape[1]))
-        return jnp.concatenate([score, jnp.moveaxis(curved, -1, 1)[pairs]])
+        second, rows = jax.jacfwd(score_at, has_aux=True)(jnp.zeros(columns.shape[1]))
+        return rows, second
 
     return jax.lax.map(scores, jnp.asarray(numbers))
 
@@ -397,8 +405,11 @@ def _correlation(
     The length is the lag at which the mean over all directions has fallen below what is left of
     independent residuals by chance (three standard deviations), or below 1/20.
     """
+    # Sums of squares in float32, whatever the unit of light: of residuals up to one.
+    unit = 2.0 ** np.frexp(max((_largest(r) for r in residuals), default=0.0))[1]
     found = [
-        _products(c.index, size, r) for c, size, r in zip(columns, sizes, residuals, strict=True)
+        _products(c.index, size, r, unit)
+        for c, size, r in zip(columns, sizes, residuals, strict=True)
     ]
     products = [product for product, _ in found]
     total, pairs = np.sum(products, axis=0), np.sum([pair for _, pair in found], axis=0)
@@ -418,10 +429,19 @@ def _correlation(
     return float(max(length, 1)), area, products
 
 
+def _largest(residual: Float[np.ndarray, "_ 3"]) -> float:
+    """Largest absolute value of what is no NaN; 0 of none."""
+    highest = np.fmax.reduce(residual, axis=None, initial=0.0)
+    return float(max(highest, -np.fmin.reduce(residual, axis=None, initial=0.0)))
+
+
 def _products(
-    index: np.ndarray, size: tuple[int, int], residual: np.ndarray
+    index: np.ndarray, size: tuple[int, int], residual: np.ndarray, unit: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Σ r(x) r(x + d) and the number of pairs, for lags d up to `_LAGS`; summed over channels."""
+    """Σ r(x) r(x + d) and the number of pairs, for lags d up to `_LAGS`; mean over channels.
+
+    Residuals r in `unit`s.
+    """
     if not index.size:
         nothing = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
         return nothing, nothing
@@ -440,7 +460,7 @@ def _products(
     products = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
     image = np.zeros_like(mask)
     for channel in residual.T:  # not their mean: JPEG's errors of colour have none
-        image[rows, cols] = np.nan_to_num(channel)
+        image[rows, cols] = np.nan_to_num(channel) / unit
         products += lagged(image) / residual.shape[1]
     return products, np.maximum(np.round(lagged(mask)), 0)
 

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 import render_gl
-from fit import _job
+from fit import _job, _search
 from fit._cli import main
 from model_jax import DriverError
 
@@ -161,6 +161,22 @@ def test_influence_is_the_derivative_of_the_shadow_weight(here: Path) -> None:
     size = sum((np.abs(influence[c].astype(float)) * image[c]).sum() for c in "RGB")
     # All light times a factor is brightness (and background) times it; float32 rounds each pixel.
     assert abs(along) < 1e-5 * size
+    # And against a fit of the photo with a little more light in the pixels that say most. The map
+    # is the slope where it was made; light of 1 % bends it by as much.
+    before = json.loads(Path("out/fit.json").read_text())["parameters"]
+    channels, _ = render_gl.read_channels("photo.exr")
+    moved = {c: channels[c].astype(np.float32) for c in "RGB"}
+    rows, columns = np.unravel_index(np.argsort(influence["G"], axis=None)[-200:], (120, 160))
+    more = 0.01 * moved["G"].max()
+    moved["G"][rows, columns] += more
+    render_gl.write_channels("moved.exr", moved, {})
+    assert airlight("fit", "scene.toml", "moved.exr", "-o", "again") == 0
+    after = json.loads(Path("again/fit.json").read_text())["parameters"]
+    told = more * influence["G"][rows, columns].astype(float).sum()
+    changes = {name: after[name]["value"] - before[name]["value"] for name in before}
+    assert changes["shadow"] == pytest.approx(told, rel=0.03)
+    # A map of a tint would tell another story of the same pixels.
+    assert abs(changes["tint.g"] - told) > 0.5 * abs(told)
 
 
 def test_json_is_one_document_on_standard_output(here: Path, capsys) -> None:
@@ -397,6 +413,35 @@ def test_photos_that_tell_nothing_get_a_verdict(here: Path, pixels, verdict) -> 
     document = json.loads(Path("out/fit.json").read_text())
     assert document["verdict"] == verdict
     assert Path("out/report.html").stat().st_size > 0
+
+
+ENDS = {
+    "at_bound": ("--bounds", "shadow=0.3:"),
+    "not_identifiable": ("--free", "brightness,exposure"),
+    "diverged": ("--bounds", "brightness=1e200:"),
+    "not_converged": ("--max-steps", "1"),
+}
+
+
+@pytest.mark.parametrize(("verdict", "words"), ENDS.items(), ids=ENDS)
+def test_verdicts_have_exit_codes(here: Path, capsys, monkeypatch, verdict, words) -> None:
+    """0 with a line of warning at a bound, else 1; the results are written all the same."""
+    if verdict == "not_converged":  # the exact steps at the end save every descent that is known
+        monkeypatch.setattr(_search, "_FINISHES", 0)
+        monkeypatch.setattr(_search, "_FINISH_STEPS", 0)
+    capsys.readouterr()
+    code = airlight("fit", "scene.toml", "photo.png", "-o", "out", *words)
+    printed = capsys.readouterr()
+    document = json.loads(Path("out/fit.json").read_text())
+    assert document["verdict"] == verdict
+    assert verdict in printed.out
+    assert Path("out/report.html").stat().st_size > 0
+    if verdict == "at_bound":
+        assert code == 0
+        assert printed.err == "airlight: warning: the best fit lies at a bound\n"
+        assert document["parameters"]["shadow"]["value"] == 0.3
+    else:
+        assert (code, printed.err) == (1, "")
 
 
 def test_one_pixel_photo(here: Path) -> None:

@@ -350,6 +350,27 @@ def test_glsl_says_where_numbers_come_from_and_what_they_are(written) -> None:
     assert "const float width_unit = 5.5;" in text
 
 
+def test_uniforms_have_the_constants_as_defaults(written) -> None:
+    """The same lines but for one word; the driver reads each default as the same float32."""
+    fitted = read_fit(written(document_of(ODD, 5.5)))
+    lines = export_text(fitted, Format.glsl_uniform)
+    assert re.sub("^uniform ", "const ", lines, flags=re.M) == export_text(fitted, Format.glsl)
+    program = gl_context().program(
+        vertex_shader=f"""#version 330
+            {lines}
+            void main() {{
+                vec3 all = shadow + tint + background;
+                gl_Position = vec4(all, brightness + width_unit);
+            }}"""
+    )
+    assert np.float32(program["brightness"].value) == np.float32(ODD.brightness)
+    assert program["width_unit"].value == 5.5
+    for name in ("shadow", "tint", "background"):
+        np.testing.assert_array_equal(
+            np.float32(program[name].value), np.float32(getattr(ODD, name))
+        )
+
+
 def test_schema_1_is_read(written) -> None:
     document = document_of(Look(), schema=1)
     document["parameters"]["shadow"] = entry(0.2, stderr=None, free=False)
@@ -453,7 +474,10 @@ def test_bad_options_are_told_in_one_line(written, tmp_path: Path, capsys) -> No
     for words, told in (
         ([tmp_path / "missing.json", "--to", "csv"], "no such file; check the path"),
         ([tmp_path, "--to", "csv"], "is a folder; name a file in it"),
-        ([path, "--to", "yaml"], "'yaml' is not one of 'glsl', 'json', 'toml', 'csv'"),
+        (
+            [path, "--to", "yaml"],
+            "'yaml' is not one of 'glsl', 'glsl-uniform', 'json', 'toml', 'csv'",
+        ),
         ([path], "Missing option '--to'"),
         ([path, "--to", "csv", "-o", tmp_path / "no" / "x.csv"], "no such folder"),
         ([path, "--to", "csv", "-o", tmp_path], "is no regular file"),

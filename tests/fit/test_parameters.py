@@ -1,6 +1,6 @@
-"""Parameter records: priors, ties, bounds and bad starts; the verdicts that no photo reaches."""
+"""Parameter records: what they tell, priors, ties, bounds, bad starts; verdicts of made-up ends."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from scipy.optimize import lsq_linear
 
 from fit import fit
 from fit._fit import _verdict
+from fit._parameters import declare
 from fit._search import _is_settled
 from model_jax import InputError, Layers, Look, Response
 
@@ -35,6 +36,50 @@ def photo(widths: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 
 LOOK = Look(3.0, 0.2, TINT, 0.01)
+
+
+EACH = Look(3.0, (0.1, 0.2, 0.3), TINT, (0.0, 0.01, 0.02))
+UNITS = {
+    "brightness": "1/width_unit",
+    "shadow": "1",
+    "tint": "1",
+    "background": "linear light",
+    "exposure": "1",
+    "gamma": "1",
+    "black_level": "recorded light",
+}
+
+
+@pytest.mark.parametrize("look", [LOOK, EACH], ids=["one number", "per channel"])
+@pytest.mark.parametrize("photos", [1, 2])
+def test_records_say_what_a_parameter_is(look: Look, photos: int) -> None:
+    """For every field of a look and of a response: unit, range, typical size and meaning."""
+    records = declare(look, [Response()] * photos)
+    families = [field.name for kind in (Look, Response) for field in fields(kind)]
+    assert list(dict.fromkeys(p.family for p in records)) == families == list(UNITS)
+    for p in records:
+        assert p.unit == UNITS[p.family]
+        assert p.lower < p.value < p.upper or p.value == p.lower == 0
+        assert 0 < p.scale < np.inf
+        assert len(p.meaning.split()) > 2
+    assert len({p.meaning for p in records}) == len(families)
+    # A level is small beside the light of the air, whose numbers are of order one.
+    assert {p.family for p in records if p.scale < 1} == {"background", "black_level"}
+
+
+def test_estimates_say_what_their_records_do(layers: Layers, photo: np.ndarray) -> None:
+    bounds = {"shadow": (0.05, 2.0)}
+    result = fit(photo, layers, LOOK, bounds=bounds)
+    rows = result.to_dict()["parameters"]
+    records = declare(LOOK, [Response()], bounds=bounds)
+    assert list(rows) == list(result.parameters) == [p.name for p in records]
+    for p in records:
+        estimate, row = result.parameters[p.name], rows[p.name]
+        assert (estimate.unit, estimate.meaning, estimate.scale) == (p.unit, p.meaning, p.scale)
+        assert estimate.bounds == (p.lower, p.upper)
+        assert (row["unit"], row["meaning"], row["scale"]) == (p.unit, p.meaning, p.scale)
+        assert row["bounds"] == [x if np.isfinite(x) else None for x in (p.lower, p.upper)]
+    assert rows["shadow"]["bounds"] == [0.05, 2.0]
 
 
 def test_a_prior_is_the_conjugate_formula(
@@ -188,7 +233,7 @@ def test_starts_that_are_no_numbers() -> None:
 
 
 def test_verdicts_of_bad_ends(layers: Layers, photo: np.ndarray) -> None:
-    """No photo is known that makes the search diverge: the judgement, on made-up ends."""
+    """The judgement itself, on made-up ends."""
     result = fit(photo, layers, LOOK, free=("brightness", "background"))
     task, end, problem = (getattr(result.evidence, n) for n in ("task", "end", "problem"))
     assert _verdict(task, end).label == "converged"

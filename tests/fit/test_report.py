@@ -1,6 +1,7 @@
 """The report: one self-contained page that says what fit.json says, whatever the fit was."""
 
 import copy
+import html
 import re
 from functools import cache
 from typing import Any
@@ -9,8 +10,8 @@ import numpy as np
 import pytest
 
 from fit import fit
-from fit._report import photo_section, report_html
-from fit._wording import measured, number, span
+from fit._report import TONES, photo_section, report_html
+from fit._wording import measured, number, shown_parameters, span, verdict_sentence
 from model_jax import (
     Atmosphere,
     Camera,
@@ -23,6 +24,8 @@ from model_jax import (
     combine,
     limb_height,
 )
+
+from .test_terminal import CASES as GOLDEN
 
 SCENE = Scene(
     Camera([0, -20000, 6000], [0, 20000, -6000], [0, 0, 1], 42, 96, 72, 12000, 30000),
@@ -74,6 +77,13 @@ def section(photo: np.ndarray = PICTURE, **changes: Any) -> dict[str, Any]:
     return photo_section(photo=photo, **settings)
 
 
+@cache
+def plain_section() -> dict[str, Any]:
+    """A small photo's, drawn once."""
+    one = np.full((1, 1, 3), 0.5, np.float32)
+    return section(one, picture=one, used=np.ones((1, 1), bool), height=None)
+
+
 def test_every_section_is_there() -> None:
     text = page(document())
     for heading in (
@@ -95,6 +105,26 @@ def test_every_section_is_there() -> None:
     for name in ("brightness", "shadow", "tint.r", "tint.g", "tint.b", "background"):
         assert name in text
     assert "airlight fit scene.toml photo.png -o out" in text
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_the_page_says_what_the_golden_reports_say(name: str) -> None:
+    """Verdict in the banner, each reason for what was left out, each interval in its row."""
+    facts = {"photo": "photo.png", "scene": "scene.toml"} | GOLDEN[name]
+    text = html.unescape(report_html(facts, [plain_section()], ""))
+    tone, heading = TONES[facts["verdict"]]
+    tone = "warn" if tone == "good" and facts["explained"] < 0.9 else tone
+    banner = text[text.index(f'<section id="verdict" class="banner {tone}">') :]
+    banner = banner[: banner.index("</section>")]
+    assert f"<h2>{heading}</h2>" in banner
+    assert verdict_sentence(facts) in banner
+    assert all(warning in banner for warning in facts["warnings"])
+    for item in facts["left_out"]:
+        assert f"<dt>{item['what']}</dt><dd>{item['why']}</dd>" in text
+    rows = re.findall(r"<tr.*?</tr>", text, re.DOTALL)
+    for parameter, estimate in shown_parameters(facts).items():
+        row = next(row for row in rows if re.search(rf">\s*{re.escape(parameter)}\s*<", row))
+        assert re.search(rf">\s*{re.escape(span(estimate['interval']))}\s*<", row)
 
 
 def test_what_each_pixel_meant_is_shown_and_said() -> None:

@@ -7,9 +7,13 @@ anew after a wanted change: `python -m tests.fit.test_terminal`.
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from fit import FitResult, Verdict, fit
+from fit._result import VERDICTS
 from fit._terminal import fit_text
+from model_jax import Layers
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -26,6 +30,7 @@ def row(value: float, stderr: float | None = None, **changes: Any) -> dict[str, 
         "role": "fixed" if stderr is None else "free",
         "unit": "1",
         "bounds": [0.0, None],
+        "scale": 1.0,
         "prior": None,
         "tied_to": None,
         "quantisation_bound": None,
@@ -61,7 +66,14 @@ ERRORS = {
 }
 
 
+def photo_row(**changes: Any) -> dict[str, Any]:
+    """What the document says of one photo."""
+    row = {"pixels": PIXELS, "residual_rms": 0.00418, "explained": 0.9981, "width_unit": 5.5}
+    return row | changes
+
+
 def document(**changes: Any) -> dict[str, Any]:
+    """A document as a fit makes it; the command line adds to it what else it knows."""
     return {
         "verdict": "converged",
         "message": "The fit converged; it explains 99.81 % of the light's variance in the pixels "
@@ -75,7 +87,10 @@ def document(**changes: Any) -> dict[str, Any]:
         "errors": ERRORS,
         "residual_rms": 0.00418,
         "explained": 0.9981,
+        "brightness_per_length": 0.5477,
+        "width_unit": 5.5,
         "pixels": PIXELS,
+        "photos": [photo_row()],
         "left_out": [],
         "solver": "lm",
         "loss": "linear",
@@ -91,10 +106,12 @@ NOTHING = {
     "residual_rms": None,
     "explained": None,
     "history": [],
+    "photos": [photo_row(residual_rms=None, explained=None)],
 }
+MASKED = {"used": 0, "total": 172800, "excluded": {"masked": 172800}, "clipped_samples": 0}
 
 CASES: dict[str, dict[str, Any]] = {
-    "converged": document(tone_curve="srgb"),
+    "converged": document(photos=[photo_row(tone_curve="srgb")]),
     "warned": document(
         message="The fit converged; it explains 54.58 % of the light's variance in the pixels "
         "used. The background came out negative: the model takes light away.",
@@ -107,6 +124,7 @@ CASES: dict[str, dict[str, Any]] = {
         },
         errors=ERRORS | {"correlation_px": 64.0, "block_px": 64, "effective_samples": 22.4},
         pixels=PIXELS | {"clipped_samples": 1042},
+        photos=[photo_row(pixels=PIXELS | {"clipped_samples": 1042}, explained=0.5458)],
     ),
     "at_bound": document(
         verdict="at_bound",
@@ -151,14 +169,9 @@ CASES: dict[str, dict[str, Any]] = {
         message="There is nothing to fit: no pixel can be used (172800 masked). To do: check the "
         "mask, the alignment of photo and layers, and the exposure.",
         parameters={name: row(e["initial"], unit=e["unit"]) for name, e in LOOK.items()},
-        pixels={
-            "used": 0,
-            "total": 172800,
-            "excluded": {"masked": 172800},
-            "clipped_samples": 0,
-        },
+        pixels=MASKED,
         seconds={},
-        **NOTHING,
+        **NOTHING | {"photos": [photo_row(pixels=MASKED, residual_rms=None, explained=None)]},
     ),
     "several_photos": document(
         parameters=LOOK
@@ -170,13 +183,12 @@ CASES: dict[str, dict[str, Any]] = {
             "black_level.2": row(0.020047, 0.000035, unit="recorded light", initial=0.0),
         },
         photos=[
-            {"pixels": PIXELS, "residual_rms": 0.00418, "explained": 0.9995, "tone_curve": "srgb"},
-            {
-                "pixels": PIXELS | {"used": 21004, "clipped_samples": 39},
-                "residual_rms": 0.00414,
-                "explained": 0.9981,
-                "tone_curve": {"exposure": 1.5, "gamma": 2.2},
-            },
+            photo_row(explained=0.9995, tone_curve="srgb"),
+            photo_row(
+                pixels=PIXELS | {"used": 21004, "clipped_samples": 39},
+                residual_rms=0.00414,
+                tone_curve={"exposure": 1.5, "gamma": 2.2},
+            ),
         ],
         second_opinion="same",
     ),
@@ -204,6 +216,56 @@ CASES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", CASES)
 def test_reports_are_the_golden_ones(name: str) -> None:
     assert fit_text(CASES[name]) == (GOLDEN / f"{name}.txt").read_text(encoding="utf-8")
+
+
+def keys_of(made: Any, path: str = "") -> set[str]:
+    """All keys, at any depth; names of parameters, reasons and steps are no keys."""
+    if isinstance(made, list):
+        return set().union(*(keys_of(item, path) for item in made))
+    if not isinstance(made, dict):
+        return set()
+    if path in (".parameters", ".seconds", ".pixels.excluded", ".photos.pixels.excluded"):
+        return set().union(*(keys_of(item, f"{path}.*") for item in made.values()))
+    here = {f"{path}.{key}" for key in made}
+    return here.union(*(keys_of(item, f"{path}.{key}") for key, item in made.items()))
+
+
+@pytest.fixture(scope="module")
+def real() -> dict[str, FitResult]:
+    """Fits by their verdicts, of a few pixels."""
+    rng = np.random.default_rng(9)
+    lit, dark = rng.uniform(0.1, 0.6, (16, 20)), rng.uniform(0.0, 0.4, (16, 20))
+    air = Layers(np.zeros_like(lit), lit + dark, lit, lit + dark)
+    light = 3.0 * (lit + 0.2 * dark)[..., None] + rng.normal(scale=0.01, size=(16, 20, 3))
+    free = ("brightness", "exposure", "tint")
+    found = [fit(light, air), fit(light, air, free=free), fit(0 * light, air)]
+    return {result.verdict: result for result in found}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_documents_have_the_keys_of_a_fit(name: str, real: dict[str, FitResult]) -> None:
+    """But for what was left out and for errors, which not every fit has."""
+    told = {verdict: keys_of(result.to_dict()) for verdict, result in real.items()}
+    whole = told["not_identifiable"]
+    optional = {key for key in whole if key.startswith((".left_out.", ".errors."))}
+    assert {key.split(".")[1] for key in optional} == {"left_out", "errors"}
+    added = {".photos.tone_curve", ".photos.tone_curve.exposure", ".photos.tone_curve.gamma"}
+    mine = keys_of(CASES[name]) - added
+    assert mine | optional == whole
+    assert all(found | optional == whole for found in told.values())
+
+
+@pytest.mark.parametrize("verdict", [Verdict.NOT_IDENTIFIABLE, Verdict.NO_DATA])
+def test_reports_of_real_fits_name_the_verdict_and_the_remedy(
+    verdict: Verdict, real: dict[str, FitResult]
+) -> None:
+    """In whole sentences, wherever the lines are broken."""
+    text = " ".join(real[verdict.label].report().split())
+    sentence, remedy = VERDICTS[verdict]
+    assert text.startswith(f"{verdict.label} {sentence}")
+    assert f"To do: {remedy}." in text
+    for item in real[verdict.label].left_out:
+        assert f"left out: {item.what}, because {item.why}" in text
 
 
 @pytest.mark.parametrize("width", [60, 80, 100, 140])

@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -22,6 +24,9 @@ from fit._uncertainty import (
 )
 from model_jax import Layers, Look
 from model_jax._tone import Linear
+
+from .looks import START, TRUTH, picture
+from .test_coverage import NOISES
 
 SIZE = (256, 320)
 BLUR = 2.0
@@ -92,11 +97,46 @@ def test_border_share_is_what_blocks_lose(rng: np.random.Generator) -> None:
     assert whole == pytest.approx(residual.size, rel=3 * 0.046 + 0.1)
 
 
+@pytest.mark.parametrize("light", [1e-30, 1e30], ids=str)
+def test_the_unit_of_light_does_not_matter(light: float, rng: np.random.Generator) -> None:
+    """The sums are float32, whose squares end at 1e±38. The factors round what is summed."""
+    residual = blurred(rng)
+    plain, other = (
+        _correlation([all_pixels(SIZE)], [SIZE], [residual * factor]) for factor in (1.0, light)
+    )
+    assert other[0] == plain[0] > 1
+    assert other[1] == pytest.approx(plain[1], rel=1e-4)
+
+
 def test_block_numbers() -> None:
     """Counted over the blocks that hold a pixel, whatever the frame's edge."""
     index = np.array([0, 7, 8, 20, 8 * 21 - 1, 8 * 21, 15 * 21 + 20])  # 21 across
     assert _block_numbers(index, (16, 21), 8).tolist() == [0, 0, 1, 2, 2, 3, 4]
     assert _block_numbers(np.array([], int), (16, 21), 8).tolist() == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "shortest", "longest"),
+    [("gaussian", 1, 1), ("blurred", 6, 8), ("ramp", 9, 64)],
+)
+def test_blocks_are_no_smaller_than_the_correlation(
+    kind: str,
+    shortest: float,
+    longest: float,
+    layers64: Layers,
+    noisy: np.ndarray,
+    rng: np.random.Generator,
+    tmp_path: Path,
+) -> None:
+    """In fits: of white noise, of noise blurred by 2 px (see above), of light that is no air."""
+    photo: Any = noisy
+    if kind != "ramp":
+        with jax.enable_x64(True):
+            photo = NOISES[kind].record(picture(layers64, TRUTH), rng, tmp_path)
+    errors = fit(photo, layers64, START).errors
+    assert errors is not None
+    assert shortest <= errors.correlation_px <= longest
+    assert errors.block_px >= max(errors.correlation_px, 8)
 
 
 def make_spread(leverage: np.ndarray) -> Spread:

@@ -11,7 +11,8 @@ import pytest
 from PIL import Image
 from scipy.optimize import least_squares
 
-from fit import Verdict, fit, load_photo
+from fit import Verdict, _search, fit, load_photo
+from fit._result import VERDICTS
 from model_jax import (
     InputError,
     Layers,
@@ -242,6 +243,36 @@ def test_verdicts_have_labels() -> None:
         "diverged",
         "no_data",
     ]
+
+
+def test_verdicts_have_a_sentence_and_a_remedy() -> None:
+    """Without full stops; what went well needs no remedy."""
+    assert list(VERDICTS) == list(Verdict)
+    for verdict, (sentence, remedy) in VERDICTS.items():
+        assert len(sentence.split()) >= 3
+        assert (remedy == "") == (verdict == Verdict.CONVERGED)
+        assert len({sentence, remedy, sentence.rstrip("."), remedy.rstrip(".")}) == 2
+    assert len(set(VERDICTS.values())) == len(Verdict)
+
+
+def test_light_beyond_what_float64_squares_diverges(layers: Layers) -> None:
+    result = fit(picture(layers, TRUTH), layers, bounds={"brightness": (1e200, np.inf)})
+    assert result.verdict == "diverged"
+    assert VERDICTS[Verdict.DIVERGED][1] in result.message
+    assert {e.stderr for e in result.parameters.values()} == {None}
+    assert to_values(result)["shadow"] == Look().shadow
+    json.dumps(result.to_dict(), allow_nan=False)
+
+
+def test_too_few_steps_do_not_converge(layers: Layers, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The exact steps at the end save every descent that is known, so they are left out."""
+    for name in ("_FINISHES", "_FINISH_STEPS"):
+        monkeypatch.setattr(_search, name, 0)
+    result = fit(picture(layers, TRUTH), layers, START, max_steps=1)
+    assert result.verdict == "not_converged"
+    assert VERDICTS[Verdict.NOT_CONVERGED][1] in result.message
+    assert result.look.shadow != pytest.approx(TRUTH.shadow, rel=1e-6)
+    assert fit(picture(layers, TRUTH), layers, START).verdict == "converged"
 
 
 def test_importing_fit_needs_no_opengl() -> None:
