@@ -389,8 +389,7 @@ def predict(
     for start in range(0, height, rows):
         # The last band reaches back over the one before: one shape, one compiled program.
         band = slice(min(start, height - rows), min(start + rows, height))
-        part = jax.tree.map(lambda a, band=band: a[band] if np.ndim(a) > 1 else a, layers)
-        seen, shade = _predict_band(part, look, response, linear=linear)
+        seen, shade = _predict_band(layers.rows(band), look, response, linear=linear)
         planes[:, band] = np.moveaxis(np.asarray(seen), -1, 0)
         if shadowed is not None:
             shadowed[band] = shade

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, UInt
 
 from model_jax import InputError, Layers, layer_widths
+from model_jax._shapes import AnyArray
 
 from ._photo import REASONS, Photo
 from ._stream import TILE, Samples, capacity
@@ -309,24 +310,24 @@ def _widths(
     layers: Layers, index: np.ndarray, unit: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"] | None]:
     """Widths in float64 whatever JAX's setting, in pieces of one size so that JAX compiles once."""
-    depths = [
-        None if depth is None else np.asarray(depth).reshape(-1)[index]
-        for depth in (layers.front, layers.back, layers.shadow_front, layers.shadow_back)
-    ]
     lit = np.empty(index.size)
     dark = np.empty(index.size) if layers.has_shadow else None
-    row = np.zeros((4, 1, _CHUNK))
+
+    def part(depth: AnyArray, chosen: np.ndarray) -> np.ndarray:
+        """Depths [1, chunk] of the chosen pixels, or of several shadows [n, 1, chunk]."""
+        several = depth.shape[:-2]
+        row = np.zeros((*several, 1, _CHUNK))
+        row[..., 0, : chosen.size] = np.asarray(depth).reshape(*several, -1)[..., chosen]
+        return row
+
+    shadows = [s for s in (layers.shadow_front, layers.shadow_back) if s is not None]
     with jax.enable_x64(True):
         for start in range(0, index.size, _CHUNK):
             end = min(start + _CHUNK, index.size)
-            for k, depth in enumerate(depths):
-                if depth is not None:
-                    row[k, 0, : end - start] = depth[start:end]
-            front, back, shadow_front, shadow_back = row
-            if dark is None:
-                piece = Layers(front, back, width_unit=unit)
-            else:
-                piece = Layers(front, back, shadow_front, shadow_back, width_unit=unit)
+            chosen = index[start:end]
+            front, back = part(layers.front, chosen), part(layers.back, chosen)
+            begin, until = [part(s, chosen) for s in shadows] or (None, None)
+            piece = Layers(front, back, begin, until, width_unit=unit)
             lit_piece, dark_piece = _jit_widths(piece)
             lit[start:end] = np.asarray(lit_piece)[0, : end - start]
             if dark is not None:
@@ -348,7 +349,8 @@ def _finite(layers: Layers) -> Bool[np.ndarray, "h w"]:
     finite = np.isfinite(np.asarray(layers.front)) & np.isfinite(np.asarray(layers.back))
     for shadow in (layers.shadow_front, layers.shadow_back):
         if shadow is not None:
-            finite &= ~np.isnan(np.asarray(shadow))
+            unknown = np.isnan(np.asarray(shadow))
+            finite &= ~unknown.reshape(-1, *finite.shape).any(axis=0)
     if layers.surface is not None:
         finite &= np.isfinite(np.asarray(layers.surface)).all(axis=-1)
     return finite

@@ -31,8 +31,7 @@ from ._scene import Occluder as Occluder
 from ._scene import Planet as Planet
 from ._scene import Scene as Scene
 from ._scene import Sun as Sun
-from ._scene import refuse_occluders as refuse_occluders
-from ._tolerance import shadow_in_view as shadow_in_view
+from ._tolerance import shadows_in_view as shadows_in_view
 from ._tolerance import width_ranges as width_ranges
 from ._tone import Exposure as Exposure
 from ._tone import Linear as Linear
@@ -40,3 +39,4 @@ from ._tone import Srgb as Srgb
 from ._tone import ToneCurve as ToneCurve
 from ._tone import parse_tone_curve as parse_tone_curve
 from ._view import eye_center as eye_center
+from ._view import view_of as view_of

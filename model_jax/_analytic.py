@@ -15,9 +15,9 @@ from jaxtyping import Float
 from ._errors import InputError
 from ._intersect import ray_cone, ray_sphere, squared_miss_distance
 from ._layers import Layers
-from ._scene import Scene, refuse_occluders
+from ._scene import Scene
 from ._shapes import AnyArray, Scalar
-from ._view import View, eye_center, pixel_rays, view_of
+from ._view import View, eye_center, pixel_slopes, ray_offsets, view_of
 
 
 def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
@@ -33,17 +33,17 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
 
     Returns:
         Eye depths relative to the planet's centre, [h, w] each, clamped to [near, far]; shadow
-        layers only when the scene has a sun. Rays follow DESIGN "ray–sphere, ray–cone".
+        layers only when the scene has a sun, [n, h, w] with occluders: the planet's, then theirs.
+        Rays follow DESIGN "ray–sphere, ray–cone".
 
     Raises:
-        InputError: float64 asked for while JAX has it switched off; occluders.
+        InputError: float64 asked for while JAX has it switched off.
     """
     if jax.dtypes.canonicalize_dtype(dtype) != jnp.dtype(dtype):
         raise InputError(
             "analytic_layers: dtype float64 while JAX has 64-bit numbers switched off; "
             'call jax.config.update("jax_enable_x64", True) first'
         )
-    refuse_occluders(scene)
     camera, radius = scene.camera, scene.planet.radius
     depths = trace_view(view_of(scene).astype(dtype), camera.height, camera.width)
     scale = jnp.asarray(radius, dtype)
@@ -63,7 +63,8 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
 @partial(jax.jit, static_argnums=(1, 2))
 def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
     """Front, back, planet mask and, with a sun, shadow front and back, in planet radii."""
-    (x, y), (mx, my) = pixel_rays(view, height, width)
+    x, y = pixel_slopes(view, height, width)
+    mx, my = ray_offsets(view.aim, height, width)
 
     def clamp(depth: AnyArray) -> AnyArray:
         return jnp.clip(depth, view.near, view.far)
@@ -73,17 +74,28 @@ def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
     # The planet ends the ray wherever it is in front of the camera: the clip planes limit depths
     # (they are clamped, as by the rasteriser), not what is there.
     hit = cut & (behind > view.camera)
-    front, back = clamp(front), clamp(jnp.where(hit, ground, back))
+    back = jnp.where(hit, ground, back)
+    for body in view.occluders:
+        met, (enter, leave) = ray_sphere(x, y, *ray_offsets(body.aim, height, width), body.radius)
+        met &= leave + body.depth > view.camera
+        back = jnp.where(met, jnp.minimum(back, enter + body.depth), back)
+        hit |= met
+    front, back = clamp(front), clamp(back)
     air = in_shell & (back > front)
     empty = jnp.broadcast_to(view.far, air.shape)
     front, back = jnp.where(air, front, empty), jnp.where(air, back, empty)
     planet = hit.astype(front.dtype)
     if not view.cones:
         return front, back, planet
-    enter, leave = ray_cone(x, y, mx, my, view.cones[0])
-    enter, leave = clamp(enter), clamp(leave)
-    dark = leave > enter
-    return front, back, planet, jnp.where(dark, enter, empty), jnp.where(dark, leave, empty)
+    shadows = []
+    for cone in view.cones:
+        enter, leave = (clamp(depth) for depth in ray_cone(x, y, mx, my, cone))
+        dark = leave > enter
+        shadows.append((jnp.where(dark, enter, empty), jnp.where(dark, leave, empty)))
+    if len(shadows) == 1:
+        return front, back, planet, *shadows[0]
+    starts, ends = zip(*shadows, strict=True)
+    return front, back, planet, jnp.stack(starts), jnp.stack(ends)
 
 
 def limb_height(scene: Scene) -> Float[np.ndarray, "h w"]:
@@ -100,6 +112,7 @@ def limb_height(scene: Scene) -> Float[np.ndarray, "h w"]:
 
 @partial(jax.jit, static_argnames=("height", "width"))
 def _limb_height(view: View, radius: Scalar, height: int, width: int) -> Float[jax.Array, "h w"]:
-    (x, y), (mx, my) = pixel_rays(view, height, width)
+    x, y = pixel_slopes(view, height, width)
+    mx, my = ray_offsets(view.aim, height, width)
     squared, _ = squared_miss_distance(x, y, mx, my)
     return (jnp.sqrt(squared) - 1.0) * radius

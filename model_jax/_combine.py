@@ -8,13 +8,15 @@ All are pure and dtype-generic (the layers' dtype decides), and every gradient i
 kinks are min/max ties, where JAX takes half of each side.
 """
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Float
 
 from ._layers import Layers
 from ._look import Look
-from ._shapes import AnyArray, Rgba, Scalar, Width
+from ._shapes import AnyArray, Depth, Rgba, Scalar, Shadows, Width
 
 
 def layer_widths(layers: Layers) -> tuple[Width, Width | None]:
@@ -23,7 +25,7 @@ def layer_widths(layers: Layers) -> tuple[Width, Width | None]:
     Returns:
         `(lit, dark)`; `dark` is `None` when the layers have no shadow. Both are along the camera's
         axis (eye depth), as in the paper. `lit + dark` is the width of the air; rounding can make
-        either negative by an ulp of the depths.
+        either negative by an ulp of the depths. What several shadows cover counts once.
 
     Twin: `layer_widths` in `combine.glsl`.
     """
@@ -31,11 +33,33 @@ def layer_widths(layers: Layers) -> tuple[Width, Width | None]:
     unit = jnp.asarray(layers.width_unit, front.dtype)
     if layers.shadow_front is None or layers.shadow_back is None:
         return (back - front) / unit, None
+    if np.ndim(layers.shadow_front) > back.ndim:
+        lit, dark = _union_widths(front, back, layers.shadow_front, layers.shadow_back)
+        return lit / unit, dark / unit
     shadow_back = jnp.minimum(jnp.maximum(layers.shadow_back, front), back)
     shadow_front = jnp.minimum(jnp.maximum(layers.shadow_front, front), back)
     lit = (back - shadow_back) + (shadow_front - front)
     dark = shadow_back - shadow_front
     return lit / unit, dark / unit
+
+
+def _union_widths(
+    front: Depth, back: Depth, shadow_front: Shadows, shadow_back: Shadows
+) -> tuple[Width, Width]:
+    """Lengths between front and back, outside and inside the union of the shadows.
+
+    From front to back, each shadow adds what lies beyond all that ended before; summing parts
+    instead of subtracting lengths from the whole leaves nothing to cancel.
+    """
+    front, back = front[None], back[None]
+    begin, end = (jnp.clip(depth, front, back) for depth in (shadow_front, shadow_back))
+    order = jnp.argsort(begin, axis=0)
+    begin, end = (jnp.take_along_axis(depth, order, axis=0) for depth in (begin, end))
+    reached = jax.lax.cummax(end, axis=0)
+    before = jnp.concatenate([front, reached[:-1]])
+    lit = jnp.sum(jnp.maximum(begin - before, 0), axis=0) + (back[0] - reached[-1])
+    dark = jnp.sum(jnp.maximum(end - jnp.maximum(begin, before), 0), axis=0)
+    return lit, dark
 
 
 def combine(layers: Layers, look: Look) -> Rgba:

@@ -45,12 +45,12 @@ def squared_miss_distance(
 def ray_cone(x: AnyArray, y: AnyArray, mx: AnyArray, my: AnyArray, cone: ShadowCone) -> Interval:
     """Where rays run inside a solid umbra cone (or half-infinite cylinder).
 
-    With p = m - centre, split along the axis s and across it (⟂), `A = p·s`, `B = d·s` and
+    With p = m - center, split along the axis s and across it (⟂), `A = p·s`, `B = d·s` and
     `ρ = radius + k A`, the ray is inside the double cone where `a τ² + 2 b τ + c ≤ 0`,
     `a = |d⊥|² - k²B²`, `b = p⊥·d⊥ - k B ρ`, `c = |p⊥|² - ρ²`: the quadratic of the "shafts" source
     document ("GetSphereShadowInOut") regrouped. By Lagrange's identity its discriminant is
     `b² - ac = |ρ d⊥ - k B p⊥|² - (p⊥ × d⊥)²`, a difference of two squares with no large terms.
-    The slab `-radius/k ≤ p·s ≤ 0` picks the nappe and closes the solid with its base.
+    The slab `ρ ≥ 0`, `p·s ≤ base` picks the nappe and closes the solid with its base.
 
     Returns:
         `(enter, leave)`; `enter > leave` where the ray stays outside.
@@ -95,7 +95,7 @@ def ray_cone(x: AnyArray, y: AnyArray, mx: AnyArray, my: AnyArray, cone: ShadowC
     )
     missed = (discriminant <= 0) & ~parallel & ~opens
     enter, leave = jnp.where(missed, far, low), jnp.where(missed, -far, high)
-    for intercept, rate in ((A, B), (-rho, -k * B)):
+    for intercept, rate in ((A - cone.base, B), (-rho, -k * B)):
         start, end = _half_line(intercept, rate, far)
         enter, leave = jnp.maximum(enter, start), jnp.minimum(leave, end)
     return enter, leave
@@ -105,11 +105,10 @@ def _half_line(intercept: AnyArray, rate: AnyArray, far: AnyArray) -> Interval:
     """The τ with `intercept + rate τ ≤ 0`; empty as (far, -far)."""
     edge = safe_divide(-intercept, rate, 0.0)
     # Where the quotient leaves the range, the half-line is everything or nothing, as with rate 0.
-    level = edge == 0.0
-    flat = level & (jnp.abs(intercept) > 0)
-    start = jnp.where(rate < 0, edge, -far)
-    end = jnp.where(rate > 0, edge, far)
-    outside = flat & (intercept > 0)
-    start = jnp.where(flat, jnp.where(outside, far, -far), start)
-    end = jnp.where(flat, jnp.where(outside, -far, far), end)
+    # Told by the rate: a compiler may form `intercept` twice, rounded differently, and one that is
+    # 0 here and 1e-17 there must not look like a quotient that was refused.
+    flat = jnp.abs(intercept) >= jnp.finfo(jnp.result_type(far)).max ** 0.5 * jnp.abs(rate)
+    outside = intercept > 0
+    start = jnp.where(flat, jnp.where(outside, far, -far), jnp.where(rate < 0, edge, -far))
+    end = jnp.where(flat, jnp.where(outside, -far, far), jnp.where(rate > 0, edge, far))
     return start, end

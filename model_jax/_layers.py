@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from ._errors import InputError
 from ._safe import is_host
-from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar
+from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar, Shadows
 
 
 def _array(value: object) -> AnyArray:
@@ -33,14 +33,16 @@ class Layers(eqx.Module):
     """Where the ray enters the air (the near plane for a camera inside)."""
     back: Depth
     """Where it leaves the air or hits the planet."""
-    shadow_front: Depth | None = None
-    """Where it enters the shadow volume; not clamped to the air. `None`: nothing is in shadow."""
-    shadow_back: Depth | None = None
+    shadow_front: Shadows | None = None
+    """Where it enters the shadow volume; not clamped to the air. `None`: nothing is in shadow.
+    [n, h, w] for the shadows of n bodies, which may overlap."""
+    shadow_back: Shadows | None = None
     """Where it leaves the shadow volume; equal to `shadow_front` where the ray misses it."""
     surface: Rgb | None = None
     """Light of the planet's surface in front of which the air lies; 0 where there is none."""
     planet: Float[AnyArray, "h w"] | None = None
-    """1 where the planet ends the ray, 0 where space does; `None` when nobody knows."""
+    """1 where the planet or an occluder ends the ray, 0 where space does; `None` when nobody
+    knows."""
     color: Float[AnyArray, "4"] = eqx.field(converter=_array, default=(1.0, 1.0, 1.0, 1.0))
     """Linear RGB and alpha of the air (the shell's vertex colour in the paper)."""
     reference: Scalar = 0.0
@@ -53,10 +55,34 @@ class Layers(eqx.Module):
             raise InputError(
                 f"layers.color: {self.color} must be four numbers [red, green, blue, alpha]"
             )
+        front, back = (() if s is None else s.shape for s in (self.shadow_front, self.shadow_back))
+        if front != back:
+            raise InputError(
+                f"layers: shadow_front has shape {front} and shadow_back {back}; give both, of one "
+                "shape, or none"
+            )
 
     @property
     def has_shadow(self) -> bool:
         return self.shadow_front is not None
+
+    def rows(self, band: slice) -> "Layers":
+        """The layers of some rows of the picture."""
+
+        def some(part: AnyArray | None) -> AnyArray | None:
+            return None if part is None else part[..., band, :]
+
+        return Layers(
+            self.front[band],
+            self.back[band],
+            some(self.shadow_front),
+            some(self.shadow_back),
+            None if self.surface is None else self.surface[band],
+            some(self.planet),
+            self.color,
+            self.reference,
+            self.width_unit,
+        )
 
     @property
     def has_air(self) -> Mask:
@@ -72,8 +98,8 @@ class DepthTextures(eqx.Module):
 
     front: Float[AnyArray, "h w"]
     back: Float[AnyArray, "h w"]
-    shadow_front: Float[AnyArray, "h w"] | None
-    shadow_back: Float[AnyArray, "h w"] | None
+    shadow_front: Shadows | None
+    shadow_back: Shadows | None
     near: Scalar
     far: Scalar
     linear: bool = eqx.field(static=True)

@@ -198,7 +198,7 @@ class Sun(eqx.Module):
 
 
 class Occluder(eqx.Module):
-    """Another sphere that casts its shadow on the atmosphere: a moon, a second planet."""
+    """Another sphere: it casts its shadow on the air, and hides in black what lies behind it."""
 
     center: Vector = eqx.field(converter=_vector)
     """Centre, scene length units."""
@@ -234,18 +234,15 @@ class Scene(eqx.Module):
                 f"camera.position: {_show(self.camera.position)} lies inside the planet "
                 f"({distance:g} from its centre, radius {float(self.planet.radius):g}); move it out"
             )
-
-
-def refuse_occluders(scene: Scene) -> None:
-    """`InputError` for a scene whose occluders would be left out of its layers without a word.
-
-    `Layers` holds one shadow per ray, the planet's; the union of several is still to come.
-    """
-    if scene.occluders:
-        raise InputError(
-            f"occluder: {len(scene.occluders)} given, but shadows of further bodies are not drawn "
-            "yet; remove [[occluder]]"
-        )
+        for number, body in enumerate(self.occluders, 1):
+            if _traced(body.center) or _traced(body.radius):
+                continue
+            distance = float(np.linalg.norm(self.camera.position - body.center))
+            if distance < body.radius:
+                raise InputError(
+                    f"camera.position: {_show(self.camera.position)} lies inside occluder {number} "
+                    f"({distance:g} from its centre, radius {float(body.radius):g}); move it out"
+                )
 
 
 def _require(name: str, value: Scalar, ok: object, rule: str) -> None:

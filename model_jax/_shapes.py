@@ -18,6 +18,8 @@ AnyArray = jax.Array | np.ndarray
 
 Depth = Float[AnyArray, "h w"]
 """Eye depth (distance along the camera's axis) relative to a reference, in scene length units."""
+Shadows = Float[AnyArray, "*volumes h w"]
+"""Eye depths of one shadow volume [h, w], or of several [n, h, w]."""
 Width = Float[AnyArray, "h w"]
 """Length of air along the camera's axis, in scene length units or in `width_unit`s."""
 Rgb = Float[AnyArray, "h w 3"]

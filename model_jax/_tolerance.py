@@ -28,7 +28,7 @@ def width_ranges(scene: Scene, inner: float, outer: float) -> tuple[Range, Range
     Args:
         scene: the scene with exact spheres.
         inner, outer: how far inside and outside its true place, in planet radii, each surface
-            (ground, shell, shadow) may lie, both ≥ 0.
+            (ground, shell, occluders, shadows) may lie, both ≥ 0.
 
     Returns:
         `((lit_min, lit_max), (dark_min, dark_max))`, float64 [h, w], in scene length units; dark is
@@ -47,23 +47,28 @@ def width_ranges(scene: Scene, inner: float, outer: float) -> tuple[Range, Range
     return (lit_min, lit_max), (dark_min, dark_max)
 
 
-def shadow_in_view(scene: Scene) -> bool:
-    """Whether any pixel's ray runs through shadowed air, from exact geometry in float64.
+def shadows_in_view(scene: Scene) -> tuple[bool, ...]:
+    """Whether any pixel's ray runs through air in each shadow, from exact geometry in float64.
 
-    A scene without a sun has none. A billionth of a planet radius does not count: it is rounding.
+    The planet's shadow first, then the occluders'; empty without a sun. A billionth of a planet
+    radius does not count: it is rounding.
     """
     if scene.sun is None:
-        return False
+        return ()
     with jax.enable_x64(True):
-        _, dark = _widths(view_of(scene).astype(jnp.float64), scene)
-    return bool(np.max(dark) > 1e-9 * float(scene.planet.radius))
+        view = view_of(scene).astype(jnp.float64)
+        front, back, _, *ends = trace_view(view, scene.camera.height, scene.camera.width)
+        begin, end = (np.clip(np.reshape(e, (-1, *front.shape)), front, back) for e in ends)
+    return tuple(bool(np.max(dark) > 1e-9) for dark in end - begin)
 
 
 def _displaced(view: View, ground: float, shell: float, shadow: float) -> View:
     def radii(v: View) -> list[Any]:
-        return [v.planet, v.shell, *(v.cones[k].radius for k in range(len(view.cones)))]
+        bodies = [v.occluders[k].radius for k in range(len(view.occluders))]
+        cones = [v.cones[k].radius for k in range(len(view.cones))]
+        return [v.planet, v.shell, *bodies, *cones]
 
-    changes = [ground, shell] + [shadow] * len(view.cones)
+    changes = [ground, shell] + [ground] * len(view.occluders) + [shadow] * len(view.cones)
     moved = [radius + change for radius, change in zip(radii(view), changes, strict=True)]
     return eqx.tree_at(radii, view, moved)
 

@@ -15,21 +15,47 @@ from jax.typing import DTypeLike
 from jaxtyping import Float
 
 from ._safe import safe_divide
-from ._scene import Occluder, Scene
+from ._scene import Camera, Scene
 from ._shapes import AnyArray, Scalar, namespace
 
 
 class ShadowCone(eqx.Module):
-    """Umbra of a sphere: `|p⊥| ≤ radius + k (p·s)` for `-radius/k ≤ p·s ≤ 0`, p from its centre."""
+    """Umbra of a sphere: `|p⊥| ≤ radius + k (p·s)`, `p·s ≤ base`, and `radius + k (p·s) ≥ 0`.
+
+    p counts from the axis' point that is nearest to the planet's centre, where the air is: the
+    sphere itself may be a moon sixty radii away, and its lengths would swallow the air's digits.
+    """
 
     axes: Float[AnyArray, "3 3"]
     """Rows e1, e2 ⟂ sun, and the unit direction s toward the sun, in eye axes."""
     center: Float[AnyArray, "3"]
-    """Centre of the sphere relative to the planet's, in eye axes."""
+    """The point that p counts from relative to the planet's centre, in eye axes."""
     radius: Scalar
-    """Radius of the sphere."""
+    """Radius of the cone there; below 0 beyond the apex."""
+    base: Scalar
+    """Where the sphere's centre lies along s."""
     tangent: Scalar
     """k = tan of the sun's angular radius; 0 is the cylinder."""
+
+
+class Aim(eqx.Module):
+    """Where the rays pass a point, in the image-parallel plane through it: affine in the pixel."""
+
+    slope: Scalar
+    """Change of mx per column (and of -my per row): eye depth of the point × `pixel`."""
+    anchor: Float[AnyArray, "2"]
+    """Column and row index (whole numbers) at which `offset` is stated."""
+    offset: Float[AnyArray, "2"]
+    """mx and my at the anchor pixel's centre."""
+
+
+class Body(eqx.Module):
+    """A further sphere in view."""
+
+    aim: Aim
+    depth: Scalar
+    """Eye depth of its centre relative to the planet's."""
+    radius: Scalar
 
 
 class View(eqx.Module):
@@ -37,12 +63,8 @@ class View(eqx.Module):
 
     pixel: Scalar
     """Side of a pixel on the plane at eye depth 1."""
-    slope: Scalar
-    """Change of mx per column (and of -my per row): eye depth of the centre × `pixel`."""
-    anchor: Float[AnyArray, "2"]
-    """Column and row index (whole numbers) at which `offset` is stated."""
-    offset: Float[AnyArray, "2"]
-    """mx and my at the anchor pixel's centre."""
+    aim: Aim
+    """At the planet's centre."""
     camera: Scalar
     """Eye depth 0, the camera's own plane, relative to the planet's centre."""
     near: Scalar
@@ -54,6 +76,7 @@ class View(eqx.Module):
     """Radius of the air's outer edge."""
     cones: tuple[ShadowCone, ...]
     """Shadow volumes: the planet's first."""
+    occluders: tuple[Body, ...]
 
     def astype(self, dtype: DTypeLike) -> "View":
         """All leaves as JAX arrays of one dtype."""
@@ -69,43 +92,50 @@ def view_of(scene: Scene) -> View:
     """The view of a scene: float64 for a scene of plain numbers, traced for a traced one."""
     camera, radius = scene.camera, scene.planet.radius
     center = eye_center(scene) / radius
-    xp = namespace(center, camera.near, camera.far, camera.fov_y_deg, scene.atmosphere.height)
-    depth, pixel = center[2], camera.pixel_size()
-    slope = depth * pixel
-    size = xp.asarray([camera.width, camera.height])
-    # Where the planet's centre projects to, kept near the picture; a centre beside or behind the
-    # camera anchors at the picture's centre, for then nothing is far away and cancels.
-    flip = xp.asarray([1.0, -1.0])
-    middle = (size - 1) / 2.0
-    projected = middle + flip * safe_divide(center[:2], xp.stack([slope, slope]), 0.0)
-    anchor = xp.round(xp.clip(projected, -4 * size, 5 * size))
-    offset = flip * slope * (anchor - middle) - center[:2]
+    depth = center[2]
     return View(
-        pixel=pixel,
-        slope=slope,
-        anchor=anchor,
-        offset=offset,
+        pixel=camera.pixel_size(),
+        aim=_aim(camera, center),
         camera=-depth,
         near=camera.near / radius - depth,
         far=camera.far / radius - depth,
         planet=1.0,
         shell=1.0 + scene.atmosphere.height / radius,
         cones=_cones(scene),
+        occluders=_bodies(scene),
     )
 
 
-def pixel_rays(
-    view: View, height: int, width: int
-) -> tuple[tuple[AnyArray, AnyArray], tuple[AnyArray, AnyArray]]:
-    """`(x, y)` and `(mx, my)` at the pixel centres, each of shape [1, w] or [h, 1]."""
+def _aim(camera: Camera, center: Float[AnyArray, "3"]) -> Aim:
+    """How the rays pass a point that is given in eye axes, in float64 on the host."""
+    xp = namespace(center, camera.fov_y_deg)
+    slope = center[2] * camera.pixel_size()
+    size = xp.asarray([camera.width, camera.height])
+    # Where the point projects to, kept near the picture; one beside or behind the camera anchors
+    # at the picture's centre, for then nothing is far away and cancels.
+    flip = xp.asarray([1.0, -1.0])
+    middle = (size - 1) / 2.0
+    projected = middle + flip * safe_divide(center[:2], xp.stack([slope, slope]), 0.0)
+    anchor = xp.round(xp.clip(projected, -4 * size, 5 * size))
+    return Aim(slope, anchor, flip * slope * (anchor - middle) - center[:2])
+
+
+def pixel_slopes(view: View, height: int, width: int) -> tuple[AnyArray, AnyArray]:
+    """x and y of the rays `(x, y, 1)` through the pixel centres, [1, w] and [h, 1]."""
     dtype = jnp.result_type(view.pixel)
+    x = view.pixel * (jnp.arange(width, dtype=dtype)[None, :] - (width - 1) / 2)
+    y = view.pixel * ((height - 1) / 2 - jnp.arange(height, dtype=dtype)[:, None])
+    return x, y
+
+
+def ray_offsets(aim: Aim, height: int, width: int) -> tuple[AnyArray, AnyArray]:
+    """mx and my at the pixel centres, [1, w] and [h, 1]."""
+    dtype = jnp.result_type(aim.slope)
     column = jnp.arange(width, dtype=dtype)[None, :]
     row = jnp.arange(height, dtype=dtype)[:, None]
-    x = view.pixel * (column - (width - 1) / 2)
-    y = view.pixel * ((height - 1) / 2 - row)
-    mx = view.slope * (column - view.anchor[0]) + view.offset[0]
-    my = view.slope * (view.anchor[1] - row) + view.offset[1]
-    return (x, y), (mx, my)
+    mx = aim.slope * (column - aim.anchor[0]) + aim.offset[0]
+    my = aim.slope * (aim.anchor[1] - row) + aim.offset[1]
+    return mx, my
 
 
 def _cones(scene: Scene) -> tuple[ShadowCone, ...]:
@@ -116,11 +146,23 @@ def _cones(scene: Scene) -> tuple[ShadowCone, ...]:
     xp = namespace(toward, scene.sun.angular_radius_deg)
     tangent = xp.tan(xp.deg2rad(scene.sun.angular_radius_deg))
     axes = _complete_basis(toward)
-    bodies = (Occluder(xp.zeros(3), radius), *scene.occluders)
-    return tuple(
-        ShadowCone(axes, basis @ body.center / radius, body.radius / radius, tangent)
-        for body in bodies
-    )
+
+    def cone(center: AnyArray, size: Scalar) -> ShadowCone:
+        base = center @ toward
+        return ShadowCone(axes, center - base * toward, size - tangent * base, base, tangent)
+
+    further = [cone(basis @ body.center / radius, body.radius / radius) for body in scene.occluders]
+    return (cone(xp.zeros(3), xp.ones(())), *further)
+
+
+def _bodies(scene: Scene) -> tuple[Body, ...]:
+    basis, radius = scene.camera.basis(), scene.planet.radius
+    bodies = []
+    for body in scene.occluders:
+        center = basis @ (body.center - scene.camera.position) / radius
+        depth = basis[2] @ body.center / radius
+        bodies.append(Body(_aim(scene.camera, center), depth, body.radius / radius))
+    return tuple(bodies)
 
 
 def _complete_basis(toward: Float[AnyArray, "3"]) -> Float[AnyArray, "3 3"]:

@@ -1,15 +1,16 @@
 """The paper's five passes: scene → depth textures, surface and combined air.
 
-    1 back faces of the shadow cone    → ShadowBack        depth texture
-    2 front faces of the shadow cone   → ShadowFront       depth texture
+    1 back faces of each shadow cone   → ShadowBack        depth texture
+    2 front faces of each shadow cone  → ShadowFront       depth texture
     3 the planet, with relief          → surface           colour, and the depth texture of pass 4
     4 back faces of the shell of air   → PlAtDepth         depth texture, tested against the planet
-    5 front faces of the shell         → air, and the four depths that the shader saw
+    5 front faces of the shell         → air, and the depths that the shader saw
 
 Depth formats: "window24", the paper's 24-bit depth textures, and "linear", float32 eye depth
-relative to the planet's centre in a colour attachment. Passes 1 and 2 are left out when no air in
-view is in shadow, or the scene has no sun. What the combine shader read is written out by the
-shader itself, so that JAX recombines the very same numbers.
+relative to the planet's centre in a colour attachment. Passes 1 and 2 are drawn for the shadows in
+which there is air in view; occluders are drawn with the planet, which they may hide. The depths of
+all shadows share one texture, one above the other, so that there may be any number of them. What
+the combine shader read is written out by shaders, so that JAX recombines the very same numbers.
 """
 
 from dataclasses import dataclass
@@ -18,11 +19,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import DriverError, InputError, Look, Scene, refuse_occluders, shadow_in_view
+from model_jax import DriverError, InputError, Look, Scene, shadows_in_view, view_of
 
 from ._context import gl_context
 from ._maps import load_albedo, load_relief
-from ._mesh import Mesh, shadow_mesh, sphere_mesh
+from ._mesh import Mesh, cone_mesh, sphere_mesh
 from ._shaders import program
 from ._uniforms import defines_of, uniforms_of
 
@@ -54,9 +55,12 @@ class Frame:
 
     air: Float[np.ndarray, "h w 4"]
     """The combine shader's output."""
-    depths: tuple[Float[np.ndarray, "h w"], ...]
-    """What it read: front, back and, if the shadow passes were drawn, shadow front, shadow back;
-    equal front and back without air."""
+    front: Float[np.ndarray, "h w"]
+    """Its own depth."""
+    back: Float[np.ndarray, "h w"]
+    """What it read behind the air; equal to `front` without air."""
+    shadows: Float[np.ndarray, "n 2 h w"]
+    """What it read of each shadow that was drawn: front and back."""
     surface: Float[np.ndarray, "h w 3"] | None
     """Light of the planet; None where it has no albedo."""
     planet: Float[np.ndarray, "h w"]
@@ -67,11 +71,10 @@ def draw(scene: Scene, look: Look, depth_format: DepthFormat) -> Frame:
     """Draw a scene.
 
     Raises `DriverError` when there is no driver or it fails, `InputError` for an unknown format, a
-    picture or texture beyond the driver's limit, unreadable maps, and occluders.
+    picture, texture or number of shadows beyond the driver's limit, and unreadable maps.
     """
     if depth_format not in DEPTH_FORMATS:
         raise InputError(f"depth format {depth_format!r} is unknown; use one of {DEPTH_FORMATS}")
-    refuse_occluders(scene)
     ratio = float(scene.camera.far / scene.camera.near)
     if depth_format == "window24" and ratio >= MAX_WINDOW_RATIO:
         raise InputError(
@@ -96,7 +99,10 @@ def assign_uniforms(shader: "moderngl.Program", values: dict[str, Any]) -> None:
     for name in shader:
         member = shader[name]
         if isinstance(member, moderngl.Uniform):
-            member.value = values[name]
+            value = values[name]
+            # moderngl takes an array of one element for that element.
+            single = isinstance(value, list) and len(value) == 1
+            member.value = value[0] if single else value
 
 
 class _Passes:
@@ -109,9 +115,9 @@ class _Passes:
         """Of a band."""
         self.bottom = 0
         """Rows of the picture below it."""
+        self.cones = _shadow_cones(scene)
         self.uniforms = uniforms_of(scene, look, linear)
-        self.shadowed = shadow_in_view(scene)
-        self.defines = defines_of(scene, linear, self.shadowed)
+        self.defines = defines_of(scene, linear, len(self.cones))
         mesh = sphere_mesh(scene.planet.triangles)
         self.sphere, self.inner_radius = self._upload(mesh), mesh.inner_radius
         self.shell = float(1 + scene.atmosphere.height / scene.planet.radius)
@@ -120,10 +126,11 @@ class _Passes:
     def run(self) -> Frame:
         """All passes, band by band, and what they left."""
         width, height = self.scene.camera.width, self.scene.camera.height
-        rows = max(BAND // width // 64, 1) * 64  # even: derivatives are taken in squares of pixels
+        rows = self._band_rows()
         size = (height, width)
         air = np.empty((*size, 4), np.float32)
-        depths = [np.empty(size, np.float32) for _ in range(4 if self.shadowed else 2)]
+        front, back = np.empty(size, np.float32), np.empty(size, np.float32)
+        shadows = np.empty((len(self.cones), 2, *size), np.float32)
         lit = self.scene.planet.albedo is not None
         surface = np.empty((*size, 3), np.float32) if lit else None
         planet = np.empty(size, np.float32)
@@ -131,45 +138,61 @@ class _Passes:
         for self.bottom in range(0, height, rows):
             self.size = (width, min(rows, height - self.bottom))
             band = slice(height - self.bottom - self.size[1], height - self.bottom)
-            drawn, seen, ground = map(_read, self._band(maps))
-            air[band] = drawn
-            for k, depth in enumerate(depths):
-                depth[band] = seen[..., k]
+            atlas = self.shadow() if self.cones else None
+            ground, behind = self.planet(maps)
+            self.shell_back(behind)
+            air[band], front[band], back[band] = map(_read, self.combine(behind, atlas))
+            if atlas is not None:
+                # Volume by volume from below, each with its rows from below.
+                seen = self._seen(atlas).reshape(-1, 2, self.size[1], width)
+                shadows[:, :, band] = seen[:, :, ::-1]
+            drawn = _read(ground)
             if surface is not None:
-                surface[band] = ground[..., :3]
-            planet[band] = ground[..., 3]
+                surface[band] = drawn[..., :3]
+            planet[band] = drawn[..., 3]
             self.context.gc()
-        return Frame(air, tuple(depths), surface, planet)
+        return Frame(air, front, back, shadows, surface, planet)
 
-    def _band(self, maps: dict[str, Any]) -> tuple[Any, Any, Any]:
-        """Air, depths and surface of a band."""
-        textures = self.shadow() if self.shadowed else {}
-        surface, textures["planet_atmosphere"] = self.planet(maps)
-        self.shell_back(textures["planet_atmosphere"])
-        air, depths = self.combine(textures)
-        return air, depths, surface
+    def _band_rows(self) -> int:
+        """Rows of a band: even, for derivatives are taken in squares of pixels."""
+        rows = max(BAND // self.scene.camera.width // 64, 1) * 64
+        if self.cones:
+            limit = int(self.context.info["GL_MAX_TEXTURE_SIZE"])
+            rows = min(rows, limit // (2 * len(self.cones)) // 2 * 2)
+            if rows == 0:
+                raise InputError(
+                    f"occluder: {len(self.cones)} shadows are in view, and this driver's textures "
+                    f"of {limit} rows hold {limit // 4}; remove some"
+                )
+        return rows
 
-    def shadow(self) -> dict[str, Any]:
+    def shadow(self) -> Any:
         """Passes 1 and 2. A cone is convex: each ray meets one back and one front face at most.
 
         A camera inside sees no front face; its shadow begins at the near plane.
         """
-        mesh, inside = _shadow(self.scene, self.shell, self.position)
-        cone = self._upload(mesh)
         empty = self.uniforms["empty"]
         near = (
             self.uniforms["clip_planes"][0] * self.uniforms["length_unit"] if self.linear else 0.0
         )
-        textures = {}
-        for name, culled, clear in (
-            ("shadow_back_texture", "front", empty),
-            ("shadow_front_texture", "back", near if inside else empty),
-        ):
-            textures[name] = self._depth_texture(clear)
-            self._depth_only(textures[name]).use()
-            self._state(culled, test=not self.linear)
-            self._render(cone, program("volume.vert", "depth.frag", self.defines), size=1.0)
-        return textures
+        width, rows = self.size
+        atlas = self._depth_texture(empty, rows * 2 * len(self.cones))
+        target = self._depth_only(atlas)
+        self._state("back", test=not self.linear)
+        for k, (mesh, inside) in enumerate(self.cones):
+            cone = self._upload(mesh)
+            for end, culled in ((0, "back"), (1, "front")):
+                tile = (2 * k + end) * rows
+                target.viewport = (0, tile - self.bottom, width, self.scene.camera.height)
+                target.scissor = (0, tile, width, rows)
+                target.use()
+                self.context.cull_face = culled
+                if end == 0 and inside:
+                    self._clear(target, near)
+                    continue
+                self._volume(cone, "depth.frag")
+        target.scissor = None
+        return atlas
 
     def planet(self, maps: dict[str, Any]) -> tuple[Any, Any]:
         """Pass 3: surface colour, and the depth texture that pass 4 goes on with."""
@@ -188,6 +211,11 @@ class _Passes:
             texture.use(unit)  # combine has bound others since the last band
             units[name] = unit
         self._render(self.sphere, program("planet.vert", "planet.frag", self.defines), **units)
+        radius = float(self.scene.planet.radius)
+        basis = np.asarray(self.scene.camera.basis())
+        for body in self.scene.occluders:
+            center = basis @ np.asarray(body.center) / radius
+            self._volume(self.sphere, "body.frag", float(body.radius) / radius, tuple(center))
         return surface, depth
 
     def shell_back(self, depth: Any) -> None:
@@ -199,47 +227,57 @@ class _Passes:
         if self.linear:
             self.context.enable(moderngl.BLEND)
             self.context.blend_equation = moderngl.MIN
-        self._render(
-            self.sphere, program("volume.vert", "depth.frag", self.defines), size=self.shell
-        )
+        self._volume(self.sphere, "depth.frag", self.shell)
         self.context.blend_equation = moderngl.FUNC_ADD
 
-    def combine(self, textures: dict[str, Any]) -> tuple[Any, Any]:
+    def combine(self, behind: Any, atlas: Any | None) -> tuple[Any, Any, Any]:
         """Pass 5: the combine shader over the shell's front, or the screen for a camera inside."""
-        import moderngl
-
         air = self.context.texture(self.size, 4, dtype="f4")
-        depths = self.context.texture(self.size, 4, dtype="f4")
+        depths = [self.context.texture(self.size, 1, dtype="f4") for _ in range(2)]
         self.context.framebuffer([air]).clear()
-        self.context.framebuffer([depths]).clear(*[self.uniforms["empty"]] * 4)
-        self._target([air, depths]).use()
-        units = {}
-        for unit, (name, texture) in enumerate(textures.items()):
-            if not self.linear:
-                texture.compare_func = ""  # depth textures compare by default; we want the values
-            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-            texture.use(unit)
-            units[name] = unit
+        self.context.framebuffer(depths).clear(*[self.uniforms["empty"]] * 4)
+        self._target([air, *depths]).use()
+        units: dict[str, Any] = {"planet_atmosphere": 0, "band_rows": self.size[1]}
+        self._bind(behind, 0)
+        if atlas is not None:
+            self._bind(atlas, 1)
+            units["shadow_depths"] = 1
         self._state("back", test=False)
         # Inside the mesh, not just the sphere: every ray then has a back face, and no front.
         if np.linalg.norm(self.position) <= self.shell * self.inner_radius:
-            screen = program("screen.vert", "combine.frag", self.defines)
-            assign_uniforms(screen, self.uniforms | units)
-            self.context.vertex_array(screen, []).render(vertices=3)
+            self._screen("combine.frag", **units)
         else:
-            shader = program("volume.vert", "combine.frag", self.defines)
-            self._render(self.sphere, shader, size=self.shell, **units)
-        return air, depths
+            self._volume(self.sphere, "combine.frag", self.shell, **units)
+        return air, *depths
 
-    def _depth_texture(self, clear: float) -> Any:
-        """A texture for depths, cleared: depth buffer, or float32 colour for linear depths."""
+    def _seen(self, atlas: Any) -> Float[np.ndarray, "rows w"]:
+        """What a shader reads in a depth texture, from below."""
         if self.linear:
-            texture = self.context.texture(self.size, 1, dtype="f4")
-            self._depth_only(texture).clear(clear, clear, clear, clear)
+            return np.frombuffer(atlas.read(), np.float32).reshape(atlas.size[::-1])
+        copied = self.context.texture(atlas.size, 1, dtype="f4")
+        self.context.framebuffer([copied]).use()
+        self._state("back", test=False)
+        self._bind(atlas, 0)
+        self._screen("copy.frag", depths=0)
+        return np.frombuffer(copied.read(), np.float32).reshape(atlas.size[::-1])
+
+    def _depth_texture(self, clear: float, rows: int | None = None) -> Any:
+        """A texture for depths, cleared: depth buffer, or float32 colour for linear depths."""
+        size = (self.size[0], self.size[1] if rows is None else rows)
+        if self.linear:
+            texture = self.context.texture(size, 1, dtype="f4")
         else:
-            texture = self.context.depth_texture(self.size)
-            self._depth_only(texture).clear(depth=clear)
+            texture = self.context.depth_texture(size)
+        self._clear(self._depth_only(texture), clear)
         return texture
+
+    def _clear(self, target: Any, depth: float) -> None:
+        """All of a framebuffer of depths only, or its scissor."""
+        box = target.scissor
+        if self.linear:
+            target.clear(depth, depth, depth, depth, viewport=box)
+        else:
+            target.clear(depth=depth, viewport=box)
 
     def _depth_only(self, texture: Any) -> Any:
         """A framebuffer without colour: one that a program leaves unwritten would be undefined."""
@@ -259,11 +297,35 @@ class _Passes:
         self.context.cull_face = culled
         self.context.depth_func = "<="
 
+    def _bind(self, texture: Any, unit: int) -> None:
+        import moderngl
+
+        if not self.linear:
+            texture.compare_func = ""  # depth textures compare by default; we want the values
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        texture.use(unit)
+
     def _upload(self, mesh: Mesh) -> tuple[Any, Any]:
         return (
             self.context.buffer(mesh.vertices.astype(np.float32).tobytes()),
             self.context.buffer(mesh.triangles.tobytes()),
         )
+
+    def _volume(
+        self,
+        geometry: tuple[Any, Any],
+        fragment: str,
+        size: float = 1.0,
+        origin: tuple[float, ...] = (0.0, 0.0, 0.0),
+        **more: Any,
+    ) -> None:
+        shader = program("volume.vert", fragment, self.defines)
+        self._render(geometry, shader, size=size, origin=origin, **more)
+
+    def _screen(self, fragment: str, **more: Any) -> None:
+        shader = program("screen.vert", fragment, self.defines)
+        assign_uniforms(shader, self.uniforms | more)
+        self.context.vertex_array(shader, []).render(vertices=3)
 
     def _render(self, geometry: tuple[Any, Any], shader: Any, **more: Any) -> None:
         assign_uniforms(shader, self.uniforms | more)
@@ -272,16 +334,33 @@ class _Passes:
         self.context.vertex_array(shader, content, triangles).render()
 
 
-def _shadow(scene: Scene, shell: float, position: Float[np.ndarray, "3"]) -> tuple[Mesh, bool]:
-    """The planet's shadow cone, and whether the camera stands in the drawn part of it."""
-    assert scene.sun is not None
-    toward = np.asarray(scene.sun.direction)
-    tangent = float(np.tan(np.deg2rad(scene.sun.angular_radius_deg)))
-    length = SHADOW_MARGIN * shell
-    along = -float(position @ toward)
-    across = float(np.linalg.norm(position + along * toward))
-    inside = 0 < along < length and across < 1 - tangent * along
-    return shadow_mesh(toward, tangent, 1.0, length), inside
+def _shadow_cones(scene: Scene) -> list[tuple[Mesh, bool]]:
+    """Shadows with air in view: what of a cone can lie in the air, and whether the camera is in it.
+
+    In world axes and planet radii. Occluders may be sixty radii away: cones are cut where the air
+    ends on either side.
+    """
+    if scene.sun is None:
+        return []
+    drawn = []
+    basis, toward = np.asarray(scene.camera.basis()), np.asarray(scene.sun.direction)
+    reach = SHADOW_MARGIN * float(1 + scene.atmosphere.height / scene.planet.radius)
+    for seen, cone in zip(shadows_in_view(scene), view_of(scene).cones, strict=True):
+        if not seen:
+            continue
+        middle = np.asarray(cone.center) @ basis
+        tangent, radius = float(cone.tangent), float(cone.radius)
+        first, last = min(float(cone.base), reach), -reach
+        if tangent > 0:
+            last = max(last, -radius / tangent)
+        ends = (middle + first * toward, middle + last * toward)
+        mesh = cone_mesh(toward, ends, (radius + tangent * first, max(radius + tangent * last, 0)))
+        offset = np.asarray(scene.camera.position) / float(scene.planet.radius) - middle
+        along = float(offset @ toward)
+        across = float(np.linalg.norm(offset - along * toward))
+        inside = last < along < first and across < radius + tangent * along
+        drawn.append((mesh, inside))
+    return drawn
 
 
 def _upload_maps(context: "moderngl.Context", scene: Scene) -> dict[str, Any]:
@@ -318,7 +397,8 @@ def _check_size(context: "moderngl.Context", what: str, width: int, height: int)
         )
 
 
-def _read(texture: Any) -> Float[np.ndarray, "h w 4"]:
-    """Texture to array, row 0 on top: the one place where OpenGL's bottom-up rows are turned."""
+def _read(texture: Any) -> Float[np.ndarray, "h w *c"]:
+    """Texture to array, row 0 on top."""
     width, height = texture.size
-    return np.frombuffer(texture.read(), dtype=np.float32).reshape(height, width, 4)[::-1]
+    shape = (height, width) if texture.components == 1 else (height, width, texture.components)
+    return np.frombuffer(texture.read(), dtype=np.float32).reshape(shape)[::-1]

@@ -1,6 +1,7 @@
 """Layer sets as EXR files: what `Layers` holds, and optionally the combined picture.
 
     front.Z  back.Z  shadow_front.Z  shadow_back.Z   eye depth relative to the header's reference
+    shadow2_front.Z  shadow2_back.Z  …               further shadows
     surface.R/G/B   planet.A   R G B A               optional, as the layers have them
 
 Header: airlight.reference, airlight.width_unit, airlight.color, airlight.near, airlight.far,
@@ -11,6 +12,7 @@ and far in the header or given by the caller.
 """
 
 import json
+import re
 
 import numpy as np
 
@@ -21,8 +23,6 @@ from ._exr import read_channels, write_channels
 from ._files import PathLike
 from ._scene_file import scene_hash, scene_record
 
-DEPTHS = ("front", "back", "shadow_front", "shadow_back")
-
 
 def write_layers(
     path: PathLike, layers: Layers, scene: Scene | None = None, picture: Rgba | None = None
@@ -31,11 +31,11 @@ def write_layers(
 
     The file appears whole or not at all; raises `InputError` when it cannot be written.
     """
-    channels = {
-        f"{name}.Z": np.asarray(depth)
-        for name in DEPTHS
-        if (depth := getattr(layers, name)) is not None
-    }
+    channels = {"front.Z": np.asarray(layers.front), "back.Z": np.asarray(layers.back)}
+    for end, depths in (("front", layers.shadow_front), ("back", layers.shadow_back)):
+        if depths is not None:
+            several = np.reshape(depths, (-1, *np.shape(layers.front)))
+            channels |= {_shadow(k, end): depth for k, depth in enumerate(several)}
     if layers.surface is not None:
         channels |= {
             f"surface.{c}": np.asarray(layers.surface)[..., k] for k, c in enumerate("RGB")
@@ -78,8 +78,7 @@ def read_layers(path: PathLike, near: float | None = None, far: float | None = N
                 f"{path}: has no channel {name} (it has {', '.join(sorted(channels))}); "
                 "a layer file needs front.Z and back.Z"
             )
-    if ("shadow_front.Z" in channels) != ("shadow_back.Z" in channels):
-        raise InputError(f"{path}: has one of shadow_front.Z and shadow_back.Z; give both or none")
+    begin, end = _shadows(path, channels)
     window = near is not None or far is not None or header.get("airlight.depth") == "window"
     planes = (0.0, 1.0)  # unused by eye depths
     if window:
@@ -88,8 +87,8 @@ def read_layers(path: PathLike, near: float | None = None, far: float | None = N
     textures = DepthTextures(
         front=channels["front.Z"],
         back=channels["back.Z"],
-        shadow_front=channels.get("shadow_front.Z"),
-        shadow_back=channels.get("shadow_back.Z"),
+        shadow_front=begin,
+        shadow_back=end,
         near=planes[0],
         far=planes[1],
         linear=not window,
@@ -136,6 +135,32 @@ def scene_attributes(scene: Scene) -> dict[str, str | float]:
         "airlight.scene": json.dumps(scene_record(scene)),
         "airlight.scene_hash": scene_hash(scene),
     }
+
+
+def _shadow(number: int, end: str) -> str:
+    """Channel of a shadow's front or back; the first is the paper's and has no number."""
+    return f"shadow{number + 1 if number else ''}_{end}.Z"
+
+
+def _shadows(
+    path: PathLike, channels: dict[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
+    """Fronts and backs of all shadows of a file: [h, w] of one, [n, h, w] of several."""
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    names = {name for name in channels if re.fullmatch(r"shadow\d*_(front|back)\.Z", name)}
+    while names:
+        pair = [_shadow(len(found), end) for end in ("front", "back")]
+        if not set(pair) <= names:
+            raise InputError(
+                f"{path}: has {', '.join(sorted(names))} but not both of {' and '.join(pair)}; "
+                "shadows are numbered shadow, shadow2, shadow3 …, each with front and back"
+            )
+        found.append((channels[pair[0]], channels[pair[1]]))
+        names -= set(pair)
+    if len(found) > 1:
+        fronts, backs = zip(*found, strict=True)
+        return np.stack(fronts), np.stack(backs)
+    return found[0] if found else (None, None)
 
 
 def _clip_planes(

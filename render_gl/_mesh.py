@@ -1,4 +1,4 @@
-"""Meshes in planet radii: the geodesic sphere of planet and shell, and the shadow cone.
+"""Meshes in planet radii: the geodesic sphere of planet and shell, and cones of shadow.
 
 A geodesic sphere (subdivided icosahedron) spends its triangles evenly: at 196,020 of them it stays
 within 3e-5 radii of the true sphere, a latitude–longitude one of that size only within 1e-4.
@@ -61,27 +61,26 @@ def sphere_mesh(triangles: int) -> Mesh:
     return Mesh(points[first], welded.astype(np.uint32))
 
 
-def shadow_mesh(
-    toward_sun: Float[np.ndarray, "3"], tangent: float, radius: float, length: float
+def cone_mesh(
+    axis: Float[np.ndarray, "3"],
+    ends: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]],
+    radii: tuple[float, float],
 ) -> Mesh:
-    """Umbra of a sphere at the origin, cut off at `length` from the base.
+    """A cone between two discs perpendicular to its axis; a radius of 0 is its tip.
 
     Args:
-        toward_sun: unit vector, world axes.
-        tangent: tan of the sun's angular radius; 0 makes a cylinder.
-        radius: of the sphere, the base's radius.
-        length: where the cone may end because nothing beyond can lie in the air.
+        axis: unit vector from the second disc to the first.
+        ends: centres of the two discs.
+        radii: of the two discs, at least 0.
     """
-    end = min(length, radius / tangent) if tangent > 0 else length
-    helper = np.eye(3)[np.argmin(np.abs(toward_sun))]
-    e1 = np.cross(helper, toward_sun)
+    helper = np.eye(3)[np.argmin(np.abs(axis))]
+    e1 = np.cross(helper, axis)
     e1 /= np.linalg.norm(e1)
-    e2 = np.cross(toward_sun, e1)
+    e2 = np.cross(axis, e1)
     angle = 2 * np.pi * np.arange(CONE_SEGMENTS) / CONE_SEGMENTS
     ring = np.cos(angle)[:, None] * e1 + np.sin(angle)[:, None] * e2
-    tip = -end * toward_sun
     vertices = np.concatenate(
-        [radius * ring, max(radius - tangent * end, 0.0) * ring + tip, [np.zeros(3), tip]]
+        [radii[0] * ring + ends[0], radii[1] * ring + ends[1], np.stack(ends)]
     )
     n = CONE_SEGMENTS
     here = np.arange(n)

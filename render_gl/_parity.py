@@ -9,7 +9,8 @@ relative) and e = the driver's worst error of a division in ulp:
               shadow, |1 - shadow| · (e ulp(shadow back) + e ulp(shadow front)).
     rounding  division by the unit (GLSL 4.60 §4.7.1: 2.5 ulp; JAX ½), and ½ ulp on either side
               for each of the two sums, the products by shadow, tint, colour and brightness and
-              the two differences of depths: 3 + 8·1 = 11 ulp of rgb's own size.
+              the two differences of depths: 3 + 8·1 = 11 ulp of rgb's own size. Each further
+              shadow adds a difference and a sum to both widths, one ulp each.
 
 The specification allows e = 2.5 against JAX's ½, together 3. Drivers differ (llvmpipe has divided
 by approximate reciprocals on some processors), so e is measured on the driver at hand: 65,536
@@ -98,16 +99,17 @@ def compare(
     shadow = np.broadcast_to(look.shadow, 3)
     weight = float(look.brightness) * color / float(layers.width_unit)
     # |lit| + shadow |dark| bounds every intermediate of the colour arithmetic.
-    bound = ROUNDINGS * EPS * np.abs(picture[..., :3].astype(np.float64))
+    further = max(len(frame.shadows) - 1, 0)
+    bound = (ROUNDINGS + 4 * further) * EPS * np.abs(picture[..., :3].astype(np.float64))
     if depth_format != "linear" and division_ulp > 0:
         front, back = np.asarray(layers.front), np.asarray(layers.back)
         ulps = (np.spacing(np.abs(front)) + np.spacing(np.abs(back))).astype(np.float64)
         spread = ulps[..., None] * np.ones(3)
         if layers.shadow_front is not None and layers.shadow_back is not None:
-            low = np.clip(np.asarray(layers.shadow_front), front, back)
-            high = np.clip(np.asarray(layers.shadow_back), front, back)
+            ends = (np.asarray(layers.shadow_front), np.asarray(layers.shadow_back))
+            low, high = (np.clip(np.reshape(e, (-1, *front.shape)), front, back) for e in ends)
             edge = np.where(high != low, np.spacing(np.abs(low)) + np.spacing(np.abs(high)), 0.0)
-            spread = spread + np.abs(1 - shadow) * edge[..., None]
+            spread = spread + np.abs(1 - shadow) * np.sum(edge, axis=0)[..., None]
         bound = (
             bound + division_ulp * weight * np.where(front != back, 1.0, 0.0)[..., None] * spread
         )

@@ -43,12 +43,14 @@ def render_image(scene: Scene, look: Look, depth_format: DepthFormat = "window24
 def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layers:
     """The layers whose depths a frame's combine shader read."""
     camera = scene.camera
-    front, back, *shadow = frame.depths
+    # One shadow is [h, w], several are [n, h, w].
+    begin, end = frame.shadows[:, 0], frame.shadows[:, 1]
+    one, some = len(frame.shadows) == 1, len(frame.shadows) > 0
     textures = DepthTextures(
-        front=front,
-        back=back,
-        shadow_front=shadow[0] if shadow else None,
-        shadow_back=shadow[1] if shadow else None,
+        front=frame.front,
+        back=frame.back,
+        shadow_front=(begin[0] if one else begin) if some else None,
+        shadow_back=(end[0] if one else end) if some else None,
         near=camera.near,
         far=camera.far,
         linear=depth_format == "linear",

@@ -5,8 +5,10 @@ error that names the file. Shaders hold no copy of a number that Python owns.
 """
 
 import re
+from collections.abc import Mapping
 from functools import cache
 from importlib import resources
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from ._context import gl_context
@@ -14,19 +16,21 @@ from ._context import gl_context
 if TYPE_CHECKING:
     import moderngl
 
-DEFINES = frozenset({"ALBEDO", "LINEAR", "RELIEF", "SHADOW", "SUN"})
+DEFINES = frozenset({"ALBEDO", "LINEAR", "OCCLUDERS", "RELIEF", "SHADOWS", "SUN"})
 """Every switch a shader may ask for."""
+
+NONE: Mapping[str, int] = MappingProxyType({})
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$', re.MULTILINE)
 
 
-def shader_source(name: str, defines: frozenset[str] = frozenset()) -> str:
+def shader_source(name: str, defines: Mapping[str, int] = NONE) -> str:
     """Text of a shader file with its includes and defines written out.
 
     Defines that the file does not use are left away, so that one set serves all stages; a name
     outside `DEFINES` raises `ValueError`, as does a missing file.
     """
-    unknown = defines - DEFINES
+    unknown = defines.keys() - DEFINES
     if unknown:
         raise ValueError(f"{name}: unknown define {sorted(unknown)}; known are {sorted(DEFINES)}")
     text = _read(name)
@@ -38,13 +42,11 @@ def shader_source(name: str, defines: frozenset[str] = frozenset()) -> str:
     if asked - DEFINES:
         raise ValueError(f"{name}: asks for {sorted(asked - DEFINES)}, which nothing defines")
     version, body = text.split("\n", 1)
-    lines = [f"#define {define}" for define in sorted(defines & asked)]
+    lines = [f"#define {define} {defines[define]}" for define in sorted(defines.keys() & asked)]
     return "\n".join([version, *lines, body])
 
 
-def program(
-    vertex: str, fragment: str, defines: frozenset[str] = frozenset()
-) -> "moderngl.Program":
+def program(vertex: str, fragment: str, defines: Mapping[str, int] = NONE) -> "moderngl.Program":
     """Compiled program of two shader files; compiled once per process and set of defines."""
     return _compile(shader_source(vertex, defines), shader_source(fragment, defines))
 

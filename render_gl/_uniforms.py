@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from model_jax import Look, Scene, depth_constants
+from model_jax import Look, Scene, Sun, depth_constants
 
 
 def uniforms_of(scene: Scene, look: Look, linear: bool) -> dict[str, Any]:
@@ -32,19 +32,26 @@ def uniforms_of(scene: Scene, look: Look, linear: bool) -> dict[str, Any]:
         "color": tuple(np.asarray(scene.atmosphere.color)),
         "relief_scale": relief_scale(scene),
         "sun": (0.0, 0.0, 0.0) if scene.sun is None else tuple(np.asarray(scene.sun.direction)),
+        "sun_tangent": 0.0 if scene.sun is None else _tangent(scene.sun),
+        "occluders": [(*np.asarray(o.center) / radius, o.radius / radius) for o in scene.occluders],
     }
 
 
-def defines_of(scene: Scene, linear: bool, shadowed: bool) -> frozenset[str]:
+def _tangent(sun: Sun) -> float:
+    return float(np.tan(np.deg2rad(sun.angular_radius_deg)))
+
+
+def defines_of(scene: Scene, linear: bool, shadows: int) -> dict[str, int]:
     """The shader switches of a scene: what it does not have, or show, is not compiled."""
     wanted = {
         "LINEAR": linear,
-        "SHADOW": shadowed,
+        "SHADOWS": shadows,
         "SUN": scene.sun is not None,
+        "OCCLUDERS": len(scene.occluders),
         "ALBEDO": scene.planet.albedo is not None,
         "RELIEF": scene.planet.relief is not None,
     }
-    return frozenset(name for name, on in wanted.items() if on)
+    return {name: int(value) for name, value in wanted.items() if value}
 
 
 def relief_scale(scene: Scene) -> float:

@@ -1,36 +1,37 @@
 #version 330
-// Pass 5: reads the four depths of its pixel, hands them on as they are, and combines them.
+// Pass 5: reads the depths of its pixel, hands on its own and the one behind, and combines them.
 
 #include "combine.glsl"
 
 uniform float length_unit;
 uniform vec2 clip_planes;
 uniform sampler2D planet_atmosphere;  // PlAtDepth of the paper
-#ifdef SHADOW
-uniform sampler2D shadow_front_texture;
-uniform sampler2D shadow_back_texture;
+#ifdef SHADOWS
+uniform sampler2D shadow_depths;      // front and back of each shadow, one above the other
+uniform int band_rows;
 #endif
-uniform float empty;                  // clear value of the depth textures: nothing was drawn
 in float relative_depth;
 
 layout(location = 0) out vec4 air;
-layout(location = 1) out vec4 depths;
+layout(location = 1) out float front;
+layout(location = 2) out float back;
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
 #ifdef LINEAR
-    float front = clamp(relative_depth, clip_planes.x, clip_planes.y) * length_unit;
+    front = clamp(relative_depth, clip_planes.x, clip_planes.y) * length_unit;
 #else
-    float front = clamp(gl_FragCoord.z, 0.0, 1.0);
+    front = clamp(gl_FragCoord.z, 0.0, 1.0);
 #endif
-    float back = texelFetch(planet_atmosphere, pixel, 0).r;
-    // Ground that rises out of the air hides it.
+    back = texelFetch(planet_atmosphere, pixel, 0).r;
+    // Ground that rises out of the air, or a body before it, hides it.
     if (front >= back) discard;
-#ifdef SHADOW
-    depths = vec4(front, back, texelFetch(shadow_front_texture, pixel, 0).r,
-                  texelFetch(shadow_back_texture, pixel, 0).r);
-#else
-    depths = vec4(front, back, empty, empty);
+    float depths[DEPTHS];
+    depths[0] = front;
+    depths[1] = back;
+#ifdef SHADOWS
+    for (int k = 0; k < 2 * SHADOWS; k++)
+        depths[2 + k] = texelFetch(shadow_depths, pixel + ivec2(0, k * band_rows), 0).r;
 #endif
     air = combine(depths);
 }

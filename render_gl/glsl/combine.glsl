@@ -1,6 +1,6 @@
 // The combine step of the paper (section 4, "Pixel Shader code"): four depths -> widths -> colour.
 // Twins: linearize_depth, layer_widths and combine in model_jax. Defines: LINEAR when the depths are
-// eye depths already, SHADOW when the scene has a shadow volume.
+// eye depths already, SHADOWS = how many shadow volumes there are, absent for none.
 
 uniform vec2 depth_constants;  // a, b of the depth linearisation; unused when LINEAR
 uniform float width_unit;      // far - near, scene length units
@@ -21,26 +21,50 @@ float eye_depth(float value) {
 #endif
 }
 
-// depths: front, back, shadow front, shadow back. Returns the lit and the dark width.
-vec2 layer_widths(vec4 depths) {
-    float front = eye_depth(depths.x);
-    float back = eye_depth(depths.y);
-#ifdef SHADOW
-    float shadow_back = eye_depth(min(max(depths.w, depths.x), depths.y));
-    float shadow_front = eye_depth(min(max(depths.z, depths.x), depths.y));
+#ifdef SHADOWS
+#define DEPTHS (2 + 2 * SHADOWS)
+#else
+#define DEPTHS 2
+#endif
+
+// depths: front, back, and front and back of each shadow. Returns the lit and the dark width.
+vec2 layer_widths(float depths[DEPTHS]) {
+    float front = eye_depth(depths[0]);
+    float back = eye_depth(depths[1]);
+#ifndef SHADOWS
+    vec2 widths = vec2(back - front, 0.0);
+#elif SHADOWS == 1
+    float shadow_front = eye_depth(min(max(depths[2], depths[0]), depths[1]));
+    float shadow_back = eye_depth(min(max(depths[3], depths[0]), depths[1]));
     vec2 widths = vec2((back - shadow_back) + (shadow_front - front), shadow_back - shadow_front);
 #else
-    vec2 widths = vec2(back - front, 0.0);
+    // In the order of their fronts, each shadow adds what lies beyond all that ended before.
+    vec2 shadows[SHADOWS];
+    for (int k = 0; k < SHADOWS; k++) {
+        vec2 here;
+        for (int end = 0; end < 2; end++)
+            here[end] = eye_depth(min(max(depths[2 + 2 * k + end], depths[0]), depths[1]));
+        int at = k;
+        for (; at > 0 && shadows[at - 1].x > here.x; at--) shadows[at] = shadows[at - 1];
+        shadows[at] = here;
+    }
+    vec2 widths = vec2(0.0);
+    float reached = front;
+    for (int k = 0; k < SHADOWS; k++) {
+        widths += max(vec2(shadows[k].x - reached, shadows[k].y - max(shadows[k].x, reached)), 0.0);
+        reached = max(reached, shadows[k].y);
+    }
+    widths.x += back - reached;
 #endif
     return widths / width_unit;
 }
 
-vec4 combine(vec4 depths) {
+vec4 combine(float depths[DEPTHS]) {
     vec2 widths = layer_widths(depths);
-#ifdef SHADOW
+#ifdef SHADOWS
     vec3 light = color.rgb * tint * (widths.x + shadow * widths.y);
 #else
     vec3 light = color.rgb * tint * widths.x;
 #endif
-    return vec4(brightness * light, depths.x != depths.y ? color.a : 0.0);
+    return vec4(brightness * light, depths[0] != depths[1] ? color.a : 0.0);
 }

@@ -1,6 +1,6 @@
 #version 330
 // Pass 3: Lambert-lit albedo, and coverage 1 in alpha. LINEAR adds the depth; ALBEDO, RELIEF and
-// SUN say what the scene has. Without a sun the albedo is shown as it is.
+// SUN say what the scene has, OCCLUDERS how many. Without a sun the albedo is shown as it is.
 
 #include "sphere_map.glsl"
 
@@ -54,6 +54,22 @@ vec3 surface_normal(vec3 at) {
 #endif
 #endif
 
+#ifdef OCCLUDERS
+uniform vec4 occluders[OCCLUDERS];  // centre and radius, world axes, planet radii
+uniform float sun_tangent;          // tan of the sun's angular radius
+
+// Whether ground lies in an occluder's umbra, the cone that pass 1 and 2 draw.
+bool eclipsed(vec3 ground) {
+    for (int k = 0; k < OCCLUDERS; k++) {
+        vec3 offset = ground - occluders[k].xyz;
+        float along = dot(offset, sun);
+        float across = length(offset - along * sun);
+        if (along < 0.0 && across < occluders[k].w + sun_tangent * along) return true;
+    }
+    return false;
+}
+#endif
+
 void main() {
     vec3 at = normalize(direction);
     vec3 light = vec3(0.0);
@@ -61,6 +77,9 @@ void main() {
     light = surface_albedo(at);
 #ifdef SUN
     light *= max(dot(surface_normal(at), sun), 0.0);
+#ifdef OCCLUDERS
+    if (eclipsed(at)) light = vec3(0.0);
+#endif
 #endif
 #endif
     surface = vec4(light, 1.0);

@@ -40,18 +40,28 @@ class March:
         def point(t: np.ndarray) -> np.ndarray:
             return origin + t[..., None] * directions
 
-        def ball(size: float) -> Signed:
-            return lambda t: np.linalg.norm(point(t), axis=-1) - size
+        def ball(size: float, center: np.ndarray) -> Signed:
+            return lambda t: np.linalg.norm(point(t) - center, axis=-1) - size
 
-        def umbra(t: np.ndarray) -> np.ndarray:
-            p = point(t)
-            along = p @ scene.sun.direction
-            across = np.linalg.norm(p - along[..., None] * scene.sun.direction, axis=-1)
-            slope = np.tan(np.deg2rad(float(scene.sun.angular_radius_deg)))
-            # Behind the apex `across ≤ radius + slope·along` cannot hold: it is positive there.
-            return np.maximum(across - radius - slope * along, along)
+        def umbra(size: float, center: np.ndarray) -> Signed:
+            def signed(t: np.ndarray) -> np.ndarray:
+                p = point(t) - center
+                along = p @ scene.sun.direction
+                across = np.linalg.norm(p - along[..., None] * scene.sun.direction, axis=-1)
+                slope = np.tan(np.deg2rad(float(scene.sun.angular_radius_deg)))
+                # Behind the apex `across ≤ size + slope·along` cannot hold: it is positive there.
+                return np.maximum(across - size - slope * along, along)
 
-        self.bodies = {"shell": ball(top), "ground": ball(radius), "shadow": umbra}
+            return signed
+
+        middle = np.zeros(3)
+        solids = [(radius, middle)] + [(float(o.radius), o.center) for o in scene.occluders]
+        self.bodies = {"shell": ball(top, middle)}
+        for k, (size, center) in enumerate(solids):
+            self.bodies[f"solid {k}"] = ball(size, center)
+            if scene.sun is not None:
+                self.bodies[f"shadow {k}"] = umbra(size, center)
+        self.count = len(solids)
         self.inside = cache(self._inside)
         self._deepest = cache(lambda body: deepest(self.bodies[body], self.start, self.end))
 
@@ -59,15 +69,17 @@ class March:
         """Lit and shadowed lengths of air; bodies may be swollen by a length (shrunk, if < 0)."""
         near, far = float(self.scene.camera.near), float(self.scene.camera.far)
         enter, leave = self.inside("shell", shell)
-        hit_from, hit_to = self.inside("ground", ground)
-        hit = (hit_to > hit_from) & (hit_to > near) & (hit_from < far)
-        leave = np.where(hit, np.minimum(leave, hit_from), leave)
+        for k in range(self.count):
+            hit_from, hit_to = self.inside(f"solid {k}", ground)
+            hit = (hit_to > hit_from) & (hit_to > near) & (hit_from < far)
+            leave = np.where(hit, np.minimum(leave, hit_from), leave)
         enter, leave = np.clip(enter, near, far), np.clip(leave, near, far)
         air = np.maximum(leave - enter, 0)
         if self.scene.sun is None:
             return Widths(air, np.zeros(self.size))
-        dark_from, dark_to = self.inside("shadow", shadow)
-        dark = np.maximum(np.minimum(dark_to, leave) - np.maximum(dark_from, enter), 0)
+        found = [self.inside(f"shadow {k}", shadow) for k in range(self.count)]
+        parts = [tuple(np.clip(end, enter, leave) for end in ends) for ends in found]
+        dark = union(parts) * (leave > enter)
         return Widths(air - dark, dark)
 
     def _inside(self, body: str, swollen: float) -> tuple[np.ndarray, np.ndarray]:
@@ -85,6 +97,14 @@ class March:
             return np.where(met, found, middle)
 
         return edge(self.start), edge(self.end)
+
+
+def union(parts: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Length that intervals cover together: cut at all their ends, count the pieces inside any."""
+    cuts = np.sort(np.stack([end for part in parts for end in part]), axis=0)
+    middles, lengths = (cuts[1:] + cuts[:-1]) / 2, np.diff(cuts, axis=0)
+    inside = np.any([(begin < middles) & (middles < end) for begin, end in parts], axis=0)
+    return np.sum(lengths * inside, axis=0)
 
 
 def deepest(signed: Signed, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from model_jax import Atmosphere, Camera, Planet, Scene, Sun
+from model_jax import Atmosphere, Camera, Occluder, Planet, Scene, Sun
 
 RADIUS = 6371.0
 """Most scenes are of Earth's size in kilometres, so that a forgotten unit shows."""
@@ -22,6 +22,7 @@ def scene_of(
     near: float = 1e-3,
     far: float | None = None,
     radius: float = RADIUS,
+    moons: tuple[tuple[tuple[float, float, float], float], ...] = (),
 ) -> Scene:
     """A scene with positions and lengths in planet radii; `size` is width × height: odd, so that
     the middle pixel looks along the axis, and mostly the same, so that JAX compiles once."""
@@ -34,6 +35,7 @@ def scene_of(
         Planet(radius),
         Atmosphere(shell * radius, (0.5, 0.7, 1.0)),
         None if sun is None else Sun(sun, angular_radius),
+        tuple(Occluder(np.array(at) * radius, size * radius) for at, size in moons),
     )
 
 
@@ -92,4 +94,40 @@ TANGENT = {
         fov=40.0, shell=0.25, radius=1.0, angular_radius=0.0,
     ),
 }  # fmt: skip
-SCENES = OCTANTS | PLACES | SHAPES | AXES | TANGENT
+ECLIPSES = {
+    "moon before the sun": scene_of(
+        (-1.5, -2.5, 0.6), sun=(-0.6, -0.7, 0.2), shell=0.3, moons=(((-3.0, -3.5, 1.0), 0.4),)
+    ),
+    "moon sixty radii away": scene_of(
+        (-0.5, -3.0, 0.4), sun=(-0.6, -0.7, 0.2), shell=0.3,
+        moons=(((-38.0, -44.2, 12.9), 0.7),),
+    ),
+    "annular": scene_of(
+        (-0.5, -3.0, 0.4), sun=(-0.6, -0.7, 0.2), shell=0.3, angular_radius=2.0,
+        moons=(((-38.0, -44.2, 12.9), 0.7),),
+    ),
+    "moon before the air": scene_of(
+        (0.3, -4.0, 0.4), sun=(0.9, 0.1, 0.2), shell=0.3, moons=(((0.5, -2.0, 0.9), 0.15),)
+    ),
+    "moon in the air": scene_of(
+        (0.3, -4.0, 0.4), sun=(0.9, -0.4, 0.2), shell=0.6, moons=(((0.7, -1.1, 0.5), 0.2),)
+    ),
+    "shadows overlap": scene_of(
+        (0.3, -4.0, 0.9), sun=(0.9, 0.3, 0.2), shell=0.8,
+        moons=(((1.8, -0.3, 1.0), 0.5), ((-0.6, -0.9, 1.1), 0.3), ((2.5, 0.4, 1.6), 0.45)),
+    ),
+    "shadow in shadow": scene_of(
+        (0.3, -4.0, 0.4), sun=(0.9, 0.3, 0.2), shell=0.8, moons=(((-1.3, -0.5, -0.3), 0.2),)
+    ),
+    "in the moon's shadow": scene_of(
+        (0.0, -2.6, 0.0), sun=(0.0, -1.0, 0.0), shell=0.8, moons=(((0.1, -3.5, 0.05), 0.3),)
+    ),
+    "moon behind the camera": scene_of(
+        (0.0, -2.6, 0.0), sun=(0.5, -0.9, 0.2), shell=0.8, moons=(((0.0, -3.0, 0.05), 0.3),)
+    ),
+    "moon beside the camera, far": scene_of(
+        (140.0, -185.0, 15.0), fov=0.62, sun=(0.2, -1.0, 0.4), shell=0.2,
+        moons=(((1.0, -2.7, 0.6), 0.3), ((139.0, -186.0, 14.0), 0.2)),
+    ),
+}  # fmt: skip
+SCENES = OCTANTS | PLACES | SHAPES | AXES | TANGENT | ECLIPSES

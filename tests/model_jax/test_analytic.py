@@ -14,7 +14,7 @@ from .scenes import PLACES, SCENES, scene_of
 
 STEPS = 16
 """Rounded operations between a ray's pixel index and the squared distances compared with radii²:
-counted along `pixel_rays` → `ray_cone`, the longest chain."""
+counted along `ray_offsets` → `ray_cone`, the longest chain."""
 
 
 def lengths(scene: Scene, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
@@ -101,7 +101,8 @@ def test_layers_keep_their_promises(name: str, dtype: np.dtype) -> None:
     if scene.sun is not None:
         depths += [layers.shadow_front, layers.shadow_back]
     for depth in depths:
-        assert depth.shape == shape
+        several = depth is not layers.front and depth is not layers.back and scene.occluders
+        assert depth.shape == ((1 + len(scene.occluders), *shape) if several else shape)
         assert depth.dtype == dtype
         assert np.all((np.asarray(depth) >= near - ulp) & (np.asarray(depth) <= far + ulp))
     assert np.all(layers.back >= layers.front)

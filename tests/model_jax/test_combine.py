@@ -4,7 +4,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from model_jax import DepthTextures, Layers, Look, combine, composite, layer_widths, linearize_depth
+from model_jax import (
+    DepthTextures,
+    InputError,
+    Layers,
+    Look,
+    combine,
+    composite,
+    layer_widths,
+    linearize_depth,
+)
+
+from .ray_march import union
 
 # name: (front, back, shadow_front, shadow_back) -> (lit, dark), all exact in binary.
 CASES = {
@@ -129,3 +140,62 @@ def _ulps(image: np.ndarray) -> float:
 def test_composite_of_nothing_but_air_is_the_combine(dtype: np.dtype) -> None:
     layers = layers_of(dtype)
     np.testing.assert_array_equal(composite(layers, Look()), combine(layers, Look()))
+
+
+def shadows_of(rng: np.random.Generator, count: int, dtype: np.dtype) -> Layers:
+    """Air and shadows of 40 × 50 pixels: apart, overlapping, nested, empty, and beside the air."""
+    front, back = np.sort(rng.random((2, 40, 50)), axis=0)
+    begin, end = np.sort(rng.uniform(-0.5, 1.5, (2, count, 40, 50)), axis=0)
+    end = np.where(rng.random(end.shape) < 0.2, begin, end)
+    back[0] = front[0]
+    return Layers(*(depth.astype(dtype) for depth in (front, back, begin, end)))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7])
+def test_overlapping_shadows_count_once(
+    count: int, rng: np.random.Generator, dtype: np.dtype
+) -> None:
+    layers = shadows_of(rng, count, dtype)
+    front, back = np.asarray(layers.front, float), np.asarray(layers.back, float)
+    ends = (np.asarray(depth, float) for depth in (layers.shadow_front, layers.shadow_back))
+    covered = union(list(zip(*(np.clip(depth, front, back) for depth in ends), strict=True)))
+    lit, dark = layer_widths(layers)
+    assert lit.dtype == dark.dtype == dtype
+    # Each of `count` + 1 differences of depths below 1, and each sum, is off by half an ulp of 1.
+    atol = (count + 1) * np.finfo(dtype).eps
+    np.testing.assert_allclose(dark, covered, rtol=0, atol=atol)
+    np.testing.assert_allclose(lit, back - front - covered, rtol=0, atol=atol)
+    if count > 1:
+        alone = layers.shadow_back[0] - layers.shadow_front[0]
+        assert np.mean(np.asarray(dark) != np.asarray(alone)) > 0.5
+
+
+def test_one_shadow_of_several_is_the_contract_bit_for_bit(
+    rng: np.random.Generator, dtype: np.dtype
+) -> None:
+    layers = shadows_of(rng, 1, dtype)
+    alone = Layers(layers.front, layers.back, layers.shadow_front[0], layers.shadow_back[0])
+    for one, several in zip(layer_widths(alone), layer_widths(layers), strict=True):
+        np.testing.assert_array_equal(one, several)
+
+
+def test_the_order_of_shadows_does_not_show(rng: np.random.Generator, dtype: np.dtype) -> None:
+    layers = shadows_of(rng, 4, dtype)
+    turned = Layers(layers.front, layers.back, layers.shadow_front[::-1], layers.shadow_back[::-1])
+    for width, again in zip(layer_widths(layers), layer_widths(turned), strict=True):
+        # Shadows that begin together are added in the order given: sums are rounded differently.
+        np.testing.assert_allclose(width, again, rtol=0, atol=5 * np.finfo(dtype).eps)
+
+
+def test_half_a_shadow_is_refused() -> None:
+    pixels = np.zeros((2, 3), np.float32)
+    with pytest.raises(InputError, match=r"shadow_front has shape \(2, 3\) and .* give both"):
+        Layers(pixels, pixels, pixels)
+
+
+def test_rows_are_a_part_of_the_picture(rng: np.random.Generator) -> None:
+    layers = shadows_of(rng, 3, np.dtype("float32"))
+    for width, some in zip(
+        layer_widths(layers), layer_widths(layers.rows(slice(5, 9))), strict=True
+    ):
+        np.testing.assert_array_equal(width[5:9], some)

@@ -81,6 +81,30 @@ LOOKS: dict[str, tuple[Function, object]] = {
     "background per channel": (lambda v: painted(Look(background=v)), (0.1, 0.2, 0.3)),
     "color": (lambda v: painted(Look(), color=v), COLOR),
 }
+OTHER = np.random.default_rng(8).random((2, *SHAPE))
+SHADOWS = {
+    # Columns: after, across the end of, inside, and around the first shadow; before the air.
+    "shadow_front": np.array([8.0, -3.0, 15.0, -6.0, -9.0])[None, :] + OTHER[0],
+    "shadow_back": np.array([9.5, 2.0, 16.5, 7.0, -7.5])[None, :] + OTHER[1],
+}
+"""Eye depths of a second shadow, relative to the front of the air."""
+
+
+def overshadowed(name: str, value: jax.Array) -> jax.Array:
+    """The picture with two shadows, of which one depth of the second is given."""
+    first = depths()
+    second = {key: jnp.asarray(first["front"] + more) for key, more in SHADOWS.items()}
+    second[name] = value
+    return painted(Look(), **{key: jnp.stack([first[key], second[key]]) for key in SHADOWS})
+
+
+UNIONS: dict[str, tuple[Function, object]] = {
+    f"second {name}": (
+        lambda v, name=name: overshadowed(name, v),
+        depths()["front"] + SHADOWS[name],
+    )
+    for name in SHADOWS
+}
 DEPTHS: dict[str, tuple[Function, object]] = {
     name: (lambda v, name=name: painted(Look(), **{name: v}), z) for name, z in depths().items()
 }
@@ -89,7 +113,7 @@ WINDOWS: dict[str, tuple[Function, object]] = {
     for far in (60.0, 1e4)
     for name, z in depths().items()
 }
-TABLE = LOOKS | DEPTHS | WINDOWS
+TABLE = LOOKS | DEPTHS | UNIONS | WINDOWS
 
 
 @pytest.mark.usefixtures("x64")

@@ -83,6 +83,17 @@ BAD: dict[str, tuple[Callable[[], object], str, str]] = {
         "occluder",
         "1",
     ),
+    "camera in an occluder": (
+        lambda: Scene(
+            camera(),
+            Planet(1.0),
+            Atmosphere(0.1),
+            Sun((1.0, 0.0, 0.0)),
+            (Occluder((5.0, 0.0, 0.0), 0.1), Occluder((0.0, -3.1, 0.0), 0.2)),
+        ),
+        "camera.position",
+        "occluder 2 (0.1 from its centre, radius 0.2)",
+    ),
     "brightness negative": (lambda: Look(brightness=-1.0), "look.brightness", "-1"),
     "brightness nan": (lambda: Look(brightness=float("nan")), "look.brightness", "nan"),
     "shadow negative": (lambda: Look(shadow=-0.5), "look.shadow", "-0.5"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import render_gl
-from model_jax import Atmosphere, Camera, Look, Planet, Scene, Sun, combine
+from model_jax import Atmosphere, Camera, Look, Occluder, Planet, Scene, Sun, combine
 from render_gl import _shaders
 from render_gl._draw import draw
 from render_gl._parity import Parity, compare, measure_division
@@ -23,8 +23,12 @@ def scene(
     sun: tuple[float, ...] | None = (1.0, -0.4, 0.3),
     size: tuple[int, int] = (320, 240),
     sun_radius: float = 0.2666,
+    moons: tuple[tuple[tuple[float, float, float], float], ...] = (),
 ) -> Scene:
-    """A camera `distance` planet radii away that sees the whole shell; lengths in km."""
+    """A camera `distance` planet radii away that sees the whole shell; lengths in km.
+
+    Moons: centres and radii in planet radii.
+    """
     radius = 6371.0
     shell = 1 + thickness
     away = np.array([0.2, -0.9, 0.3])
@@ -44,6 +48,7 @@ def scene(
         Planet(radius, triangles=20_000),
         Atmosphere(thickness * radius, [0.3, 0.6, 1.0, 0.9]),
         None if sun is None else Sun(sun, sun_radius),
+        tuple(Occluder(np.array(at) * radius, size * radius) for at, size in moons),
     )
 
 
@@ -59,6 +64,14 @@ SCENES = {f"sun {octant}": scene(sun=octant) for octant in OCTANTS} | {
     "cylinder": scene(sun_radius=0.0),
     "apex in the shell": scene(thickness=1.5, distance=4.0, sun_radius=35.0),
     "no sun": scene(sun=None),
+    "eclipse": scene(thickness=0.3, moons=(((3.0, -1.9, 1.0), 0.3),)),
+    "moon sixty radii away": scene(thickness=0.3, moons=(((53.7, -22.3, 16.4), 0.6),)),
+    "three moons": scene(
+        thickness=0.6,
+        distance=4.0,
+        sun=(0.6, 0.5, 0.3),
+        moons=(((1.5, 0.5, 0.9), 0.5), ((0.3, -1.6, 0.9), 0.3), ((1.8, 0.7, 1.7), 0.4)),
+    ),
 }
 
 
@@ -118,8 +131,8 @@ CROSSED = scene(thickness=0.5, distance=3.0, sun=(-0.2, 0.9, -0.3))
 def with_frame(change, depth_format: str = "window24") -> Parity:
     """The comparison after `change` has been done to the depths that JAX gets."""
     frame = draw(FAULTY, Look(), depth_format)
-    depths = tuple(change(np.stack(frame.depths)))
-    broken = dataclasses.replace(frame, depths=depths)
+    front, back, *ends = change(np.stack([frame.front, frame.back, *frame.shadows[0]]))
+    broken = dataclasses.replace(frame, front=front, back=back, shadows=np.stack(ends)[None])
     return compare(FAULTY, Look(), broken, depth_format, measure_division(FAULTY))
 
 
@@ -152,13 +165,13 @@ def test_fault_near_and_far_swapped_is_found() -> None:
     ("clamp", "without", "case"),
     [
         (
-            "min(max(depths.w, depths.x), depths.y)",
-            "min(depths.w, depths.y)",
+            "min(max(depths[3], depths[0]), depths[1])",
+            "min(depths[3], depths[1])",
             CROSSED,
         ),
-        ("min(max(depths.w, depths.x), depths.y)", "max(depths.w, depths.x)", FAULTY),
-        ("min(max(depths.z, depths.x), depths.y)", "min(depths.z, depths.y)", CROSSED),
-        ("min(max(depths.z, depths.x), depths.y)", "max(depths.z, depths.x)", FAULTY),
+        ("min(max(depths[3], depths[0]), depths[1])", "max(depths[3], depths[0])", FAULTY),
+        ("min(max(depths[2], depths[0]), depths[1])", "min(depths[2], depths[1])", CROSSED),
+        ("min(max(depths[2], depths[0]), depths[1])", "max(depths[2], depths[0])", FAULTY),
     ],
     ids=["back against front", "back against back", "front against front", "front against back"],
 )
@@ -187,8 +200,7 @@ def test_fault_not_a_number_is_found() -> None:
 def test_jax_reads_what_the_shader_read() -> None:
     """The front depth is gl_FragCoord.z in float32, not rounded to the texture's 24 bits."""
     frame = draw(FAULTY, Look(), "window24")
-    front, back = frame.depths[:2]
-    front = front[front != back].astype(np.float64)
+    front = frame.front[frame.front != frame.back].astype(np.float64)
     steps = front * (2**24 - 1)
     assert np.mean(np.abs(steps - np.round(steps)) > 0.01) > 0.1
     picture = np.asarray(combine(frame_layers(FAULTY, frame, "window24"), Look()))

@@ -22,6 +22,7 @@ from model_jax import (
 from render_gl import _context
 from render_gl._uniforms import relief_scale
 
+from ..model_jax.ray_march import camera_rays
 from .test_parity import SCENES, scene
 
 
@@ -38,7 +39,7 @@ def test_shadow_passes_are_left_out_when_no_air_in_view_is_in_shadow(monkeypatch
     pruned = render_gl.render(case, "linear")
     assert pruned.shadow_front is None
     assert render_gl.render(SCENES["sun (1, -1, 1)"]).shadow_front is not None
-    monkeypatch.setattr(render_gl._draw, "shadow_in_view", lambda scene: True)
+    monkeypatch.setattr(render_gl._draw, "shadows_in_view", lambda scene: (True,))
     full = render_gl.render(case, "linear")
     assert full.shadow_front is not None
     np.testing.assert_array_equal(pruned.front, full.front)
@@ -118,16 +119,6 @@ def test_relief_and_albedo_are_drawn(data_dir: Path) -> None:
     assert np.median(rise) >= -0.5
 
 
-def test_occluders_are_refused_by_name() -> None:
-    bare = scene()
-    moon = (Occluder([0, 1e5, 0], 1737.0),)
-    case = Scene(bare.camera, bare.planet, bare.atmosphere, bare.sun, moon)
-    with pytest.raises(InputError, match="occluder: 1 given"):
-        render_gl.render(case)
-    with pytest.raises(InputError, match="occluder: 1 given"):
-        analytic_layers(case)
-
-
 def test_window_depths_are_refused_where_they_hold_nothing() -> None:
     case = eqx.tree_at(lambda s: s.camera.near, scene(), 1e-3)
     with pytest.raises(InputError, match="linear depth"):
@@ -175,6 +166,59 @@ def test_layer_files_come_back_as_they_were(tmp_path: Path) -> None:
     assert (again.reference, again.width_unit) == (layers.reference, layers.width_unit)
 
 
+def test_several_shadows_come_back_as_they_were(tmp_path: Path) -> None:
+    case = SCENES["three moons"]
+    layers = render_gl.render(case, "linear")
+    # Of four bodies' shadows: one passes beside the air.
+    assert np.shape(layers.shadow_front) == (3, 240, 320)
+    path = tmp_path / "layers.exr"
+    render_gl.write_layers(path, layers, case)
+    again = render_gl.read_layers(path)
+    np.testing.assert_array_equal(again.shadow_front, layers.shadow_front)
+    np.testing.assert_array_equal(again.shadow_back, layers.shadow_back)
+    channels, _ = render_gl.read_channels(path)
+    assert {"shadow_front.Z", "shadow2_back.Z", "shadow3_front.Z"} <= set(channels)
+    del channels["shadow2_front.Z"]
+    render_gl.write_channels(path, channels, {})
+    with pytest.raises(InputError, match=r"not both of shadow2_front\.Z and shadow2_back\.Z"):
+        render_gl.read_layers(path)
+
+
+def test_a_moon_darkens_the_ground_and_hides_what_is_behind(data_dir: Path) -> None:
+    """Sun behind the camera: a moon beside the line of sight hides no pixel of its shadow."""
+    bare = scene(sun=(0.2, -0.9, 0.3), sun_radius=0.0)
+    toward = np.asarray(bare.sun.direction)
+    planet = Planet(
+        6371.0, albedo=str(data_dir / "textures/land_shallow_topo_2048.jpg"), triangles=20_000
+    )
+    aside = np.cross(toward, [0.0, 0.0, 1.0])
+    center = (3.0 * toward + 0.4 * aside / np.linalg.norm(aside)) * 6371.0
+    moon = (Occluder(center, 0.2 * 6371.0),)
+    case = eqx.tree_at(lambda s: s.planet, bare, planet)
+    eclipsed = Scene(case.camera, case.planet, case.atmosphere, case.sun, moon)
+    layers = render_gl.render(eclipsed, "linear")
+    full = np.asarray(render_gl.render(case, "linear").surface)
+    shaded = np.asarray(layers.surface)
+    dark = np.all(shaded == 0, axis=-1) & np.any(full > 0, axis=-1)
+    np.testing.assert_array_equal(shaded[~dark], full[~dark])
+    origin, rays = camera_rays(eclipsed)
+    depth = np.asarray(layers.back, np.float64) + float(layers.reference)
+    ground = origin + depth[..., None] * rays
+    off = np.linalg.norm(np.cross(ground - center, toward), axis=-1)
+    expected = (np.asarray(layers.planet) == 1) & (ground @ toward > 0) & (off < 0.2 * 6371)
+    assert 1000 < np.sum(expected) == pytest.approx(np.sum(dark), rel=0.01)
+    assert np.mean(dark != expected) < 0.001
+    front = Scene(
+        case.camera, case.planet, case.atmosphere, case.sun, (Occluder(1.5 * 6371 * toward, 1000),)
+    )
+    hidden = render_gl.render(front, "linear")
+    exact = analytic_layers(front)
+    assert np.mean(~hidden.has_air & render_gl.render(case, "linear").has_air) > 0.05
+    assert np.mean(hidden.has_air != exact.has_air) < 0.01
+    assert np.mean(hidden.planet != exact.planet) < 0.01
+    assert np.all(np.asarray(hidden.surface)[120, 160] == 0)
+
+
 def test_window_depths_of_another_renderer(tmp_path: Path) -> None:
     case = SCENES["odd size"]
     near, far = float(case.camera.near), float(case.camera.far)
@@ -219,7 +263,8 @@ def test_large_pictures_are_drawn_in_bands(monkeypatch, depth_format) -> None:
     whole = render_gl._draw.draw(case, Look(), depth_format)
     monkeypatch.setattr(render_gl._draw, "BAND", 320 * 100)
     banded = render_gl._draw.draw(case, Look(), depth_format)
-    images = zip([whole.air, *whole.depths], [banded.air, *banded.depths], strict=True)
+    parts = [(f.air, f.front, f.back, *f.shadows.reshape(-1, 256, 320)) for f in (whole, banded)]
+    images = zip(*parts, strict=True)
     for expected, found in [*images, (whole.surface, banded.surface)]:
         assert np.isfinite(found).all()
         far = np.abs(found - expected) > 1e-4 * np.abs(expected)
