@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt, UInt8
 from PIL import Image
+from PIL.JpegImagePlugin import JpegImageFile
 
 from model_jax import Layers
 
@@ -73,6 +74,9 @@ LEVELS = 8
 _TUNINGS = 5
 _MEASURED = 4
 """Pairs of a round whose residuals' area is measured; more than the largest one counts."""
+_ROBUST_STEPS = 4
+"""A robust loss's step leaves a fifth of the way: it weighs samples as they lay before."""
+_HALVINGS = 20
 _BAND = 128
 """Rows of a window, whose encoding and decoding needs no other."""
 _BLOCK = 16
@@ -150,31 +154,36 @@ def undo_compression(
         again = replace(problem, samples=relit(problem.samples, shots))
         if model.prior is not None:
             again = replace(again, model=_reminded(model, here, noise, rng))
-        end = step - gauss_newton(again.gram(here, along))
+        end = step
+        for _ in range(_ROBUST_STEPS if robust else 1):
+            end = end - gauss_newton(again.gram(vector + along @ end, along))
         if not measured:
             return end, 0.0
         left = [_left(shot, light) for shot, (light, _) in zip(shots, seen, strict=True)]
         return end, area_of(problem.columns, sizes, left)
 
     chance = [SEED, *(_checksum(photo) for photo in photos)]
-    shift, line = np.zeros(p), None
+    shift = np.zeros(p)
+    found: Undone | None = None
     with ThreadPoolExecutor(_threads(problem)) as pool:
         for number in range(ROUNDS):
             *seeds, own = np.random.SeedSequence([*chance, number]).spawn(count + 1)
             steps = _draw(shift, covariance, count, np.random.default_rng(own))
-            steps = np.stack([_inside(step, vector, along, free) for step in steps])
+            steps = np.stack([_inside(step, shift, vector, along, free) for step in steps])
             measured = [k < _MEASURED for k in range(count)]
             ends, areas = zip(*pool.map(fitted, steps, seeds, measured), strict=True)
-            line = _read_backwards(steps, np.stack(ends))
-            if line is None:
+            read = _read_backwards(steps, np.stack(ends))
+            if read is None:
                 covariance = 4 * covariance
                 continue
-            before, (shift, covariance) = covariance, line
+            before, (shift, covariance) = covariance, read
+            shift = _bounded(shift, covariance, vector, along, free)
             # Made-up noise does not hang together before compression; noise that did tells less.
             covariance = covariance * max(1.0, area / max(areas))
+            found = Undone(shift, covariance, float(count - p - 1))
             if _growth(before, covariance) <= SETTLED:
                 break
-    return None if line is None else Undone(shift, covariance, float(count - p - 1))
+    return found
 
 
 def _checksum(photo: PhotoLike) -> int:
@@ -213,27 +222,61 @@ def _draw(
 
 def _inside(
     step: Float[np.ndarray, " p"],
+    center: Float[np.ndarray, " p"],
     vector: Entries,
     along: Float[np.ndarray, "e p"],
     free: Sequence[Parameter],
 ) -> Float[np.ndarray, " p"]:
-    """The step, halved until it stays within all bounds."""
-    while is_outside(vector + along @ step, free) and step.any():
-        step = np.where(np.abs(step) > 1e-300, step / 2, 0)
-    return step
+    """The step, its way from the centre halved until it stays within all bounds."""
+    for _ in range(_HALVINGS):
+        if not is_outside(vector + along @ step, free):
+            return step
+        step = (center + step) / 2
+    return center
+
+
+def _bounded(
+    shift: Float[np.ndarray, " p"],
+    covariance: Float[np.ndarray, "p p"],
+    vector: Entries,
+    along: Float[np.ndarray, "e p"],
+    free: Sequence[Parameter],
+) -> Float[np.ndarray, " p"]:
+    """The likeliest shift within all bounds, given that they hold: what is beyond goes to its
+    bound, and what is correlated with it follows."""
+    for _ in range(2 * len(free)):
+        here = vector + along @ shift
+        beyond = [p for p in free if not p.lower <= p.of(here) <= p.upper]
+        if not beyond:
+            break
+        row = along[beyond[0].entries[0]]
+        pull = covariance @ row
+        excess = beyond[0].of(here) - np.clip(beyond[0].of(here), beyond[0].lower, beyond[0].upper)
+        # An ulp further, or rounding leaves it outside.
+        shift = shift - pull * (excess * (1 + 1e-9) / (row @ pull))
+    return shift
 
 
 def _read_backwards(
     steps: Float[np.ndarray, "n p"], ends: Float[np.ndarray, "n p"]
 ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p p"]] | None:
-    """Which step ends at 0, and the covariance of that; None where the line is nearly level."""
+    """Which step ends at 0, and the covariance of that; None where the line is nearly level.
+
+    In coordinates in which the steps are white: a line that rises by 1 in all directions must not
+    seem level where two parameters are correlated.
+    """
     count, p = steps.shape
     size = steps.std(axis=0)
     if not ((size > 0).all() and np.isfinite(ends).all()):
         return None
-    rows = np.column_stack([np.ones(count), steps / size])
-    line = np.linalg.lstsq(rows, ends / size, rcond=None)[0]
-    left = ends / size - rows @ line
+    values, vectors = np.linalg.eigh(np.atleast_2d(np.cov((steps / size).T)))
+    if not values[0] > 0:
+        return None
+    root = size[:, None] * vectors * np.sqrt(values)
+    white = np.linalg.inv(root).T
+    rows = np.column_stack([np.ones(count), steps @ white])
+    line = np.linalg.lstsq(rows, ends @ white, rcond=None)[0]
+    left = ends @ white - rows @ line
     scatter = left.T @ left / (count - p - 1)
     level, slope = line[0], line[1:].T
     if np.linalg.svd(slope, compute_uv=False)[-1] < LEVEL:
@@ -243,7 +286,7 @@ def _read_backwards(
     here = np.append(1.0, found)
     unsure = 1 + here @ np.linalg.solve(rows.T @ rows, here)
     covariance = back @ scatter @ back.T * unsure
-    return size * found, covariance * size * size[:, None]
+    return root @ found, root @ covariance @ root.T
 
 
 def _growth(before: Float[np.ndarray, "p p"], after: Float[np.ndarray, "p p"]) -> float:
@@ -301,7 +344,7 @@ def _size(values: Float[np.ndarray, " m"], robust: bool) -> float:
 class _Window(NamedTuple):
     """A part of a file that is encoded and decoded by itself."""
 
-    codes: UInt8[np.ndarray, "h w c"]
+    codes: UInt8[np.ndarray, "h w 3"]
     place: Int[np.ndarray, " m"]
     """Flat index in the window of each pixel that is pictured anew."""
     rank: Int[np.ndarray, " m"]
@@ -384,7 +427,7 @@ class _Camera:
         for window in self._windows:
             picture = window.codes.copy()
             flat = picture.reshape(-1, picture.shape[2])
-            flat[window.place] = np.take(codes, window.rank, axis=0)[:, : picture.shape[2]]
+            flat[window.place] = np.take(codes, window.rank, axis=0)
             decoded = _round_trip(picture, self._jpeg).reshape(flat.shape)
             found[window.told_rank] = np.take(decoded, window.told_place, axis=0)
         return with_codes(self._columns, photo, found)
@@ -392,15 +435,14 @@ class _Camera:
     def _noisy(
         self, light: Float[np.ndarray, "n 3"], rng: np.random.Generator
     ) -> Float[np.ndarray, "n 3"]:
-        grey = self._jpeg is not None and len(self._jpeg.tables) == 1
-        shape = (len(light), 1) if grey else light.shape
-        return light + self._noise.at(light) * rng.standard_normal(shape, np.float32)
+        return light + self._noise.at(light) * rng.standard_normal(light.shape, np.float32)
 
     def _encoded(
         self, light: Float[np.ndarray, "n 3"], rng: np.random.Generator
     ) -> UInt[np.ndarray, "n 3"]:
         noisy = self._noisy(light, rng)
-        if self._jpeg is None:
+        # Cells cover light up to one, in which the film curve has but some of its codes.
+        if self._jpeg is None or self._edges[-1] > 1:
             return np.searchsorted(self._edges, noisy).astype(self._codes.dtype)
         cell = np.clip(noisy * np.float32(_CELLS), 0, _CELLS - 1)
         return np.take(self._codes, cell.astype(np.int32))
@@ -413,7 +455,7 @@ class _Camera:
         rank[self._columns.index] = np.arange(n, dtype=np.int32)
         rank[near.index] = np.arange(n, n + len(near.index), dtype=np.int32)
         grid = _file_grid(photo.shape, jpeg.orientation)
-        channels = 1 if len(jpeg.tables) == 1 else 3
+        stored = photo.stored.reshape(-1, 3)
         strange = np.append(np.zeros(n, bool), ~self._agrees[:, 0])
         self._means = np.zeros(near.light.shape, np.float32)
         for start in range(0, len(grid), _BAND):
@@ -430,14 +472,13 @@ class _Camera:
             number = numbers[place]
             row = place // shown.shape[1] + top
             own = (row >= start) & (row < start + _BAND)
-            codes = photo.stored.reshape(-1, photo.stored.shape[2])[shown]
+            codes = stored[shown]
             part = (numbers < 0) | strange[numbers]
             means = _means_of(photo.light[codes], part.reshape(shown.shape)).reshape(-1, 3)
             mine = own & strange[number]
             self._means[number[mine] - n] = means[place[mine]]
-            window = np.ascontiguousarray(codes[..., :channels])
             told = own & (number < n)
-            self._windows.append(_Window(window, place, number, place[told], number[told]))
+            self._windows.append(_Window(codes, place, number, place[told], number[told]))
 
 
 def _near(photo: PhotoLike, used: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
@@ -481,12 +522,11 @@ def _means_of(
     return (total[..., :-1] / np.maximum(total[..., -1:], 1)).astype(np.float32)
 
 
-def _round_trip(codes: UInt8[np.ndarray, "h w c"], jpeg: Jpeg) -> UInt8[np.ndarray, "h w c"]:
+def _round_trip(codes: UInt8[np.ndarray, "h w 3"], jpeg: Jpeg) -> UInt8[np.ndarray, "h w c"]:
     """Encoded and decoded again."""
-    grey = codes.shape[2] == 1
-    options: dict[str, Any] = {} if grey else {"subsampling": jpeg.sampling}
+    tables: Any = [list(table) for table in jpeg.tables]
     stream = io.BytesIO()
-    image = Image.fromarray(codes[..., 0] if grey else codes)
-    image.save(stream, "JPEG", qtables=[list(table) for table in jpeg.tables], **options)
-    with Image.open(stream, formats=["JPEG"]) as decoded:
-        return np.asarray(decoded).reshape(codes.shape)
+    Image.fromarray(codes).save(stream, "JPEG", qtables=tables, subsampling=jpeg.sampling)
+    stream.seek(0)
+    with JpegImageFile(stream) as decoded:
+        return np.asarray(decoded)

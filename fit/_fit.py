@@ -49,6 +49,7 @@ from ._pixels import (
     to_samples,
 )
 from ._result import (
+    MOST_CLIPPED,
     STRUCTURED_PX,
     VERDICTS,
     WELL_EXPLAINED,
@@ -531,7 +532,7 @@ def _judge(
         bias = _bias(evidence, rows)
         undone = _undone(evidence, residuals, noise)
         if undone is not None:
-            vector = _within(end.vector + along @ undone.shift, task.parameters)
+            vector = end.vector + along @ undone.shift
             covariance = rows @ undone.covariance @ rows.T
             reach = reach_95(np.full(len(told), undone.freedom))
     stderr = np.sqrt(np.maximum(np.diag(covariance), 0))
@@ -652,13 +653,17 @@ def _undone(
 ) -> Undone | None:
     """The look before JPEG; None where no photo was one, or of no kind that can be done again.
 
-    Nor where what is left over is no noise: the light before compression is not known then.
+    Nor where what is left over is no noise, or much is clipped: what the light before compression
+    was is not known then.
     """
     task, problem, end = evidence.task, evidence.problem, evidence.end
     lossy = [p for p in task.photos if isinstance(p, Photo) and p.lossy]
-    if not lossy or not end.free or any(p.jpeg is None for p in lossy):
+    if not lossy or any(p.jpeg is None for p in lossy):
         return None
-    if evidence.spread.correlation_px > STRUCTURED_PX:
+    if not end.settled or not evidence.along.shape[1]:
+        return None
+    clipped = 3 * sum(len(c.lit) for c in problem.columns) - problem.count
+    if evidence.spread.correlation_px > STRUCTURED_PX or clipped > MOST_CLIPPED * problem.count:
         return None
     return undo_compression(
         task.photos,
@@ -672,14 +677,6 @@ def _undone(
         evidence.spread.area,
         noise,
     )
-
-
-def _within(vector: Entries, parameters: Sequence[Parameter]) -> Entries:
-    """The nearest vector in which each parameter is in its range."""
-    found = vector.copy()
-    for p in parameters:
-        found[list(p.entries)] = np.clip(p.of(vector), p.lower, p.upper)
-    return found
 
 
 def _photo_results(

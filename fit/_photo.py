@@ -41,7 +41,7 @@ class Jpeg:
     tables: tuple[tuple[int, ...], ...]
     """Steps of the 64 frequencies, for each component."""
     sampling: int
-    """Of colour, in Pillow's numbers: 0 is 4:4:4, 1 is 4:2:2, 2 is 4:2:0; -1 of grey."""
+    """Of colour, in Pillow's numbers: 0 is 4:4:4, 1 is 4:2:2, 2 is 4:2:0."""
     orientation: int
     """By EXIF: pixels are compressed as stored, not as shown."""
 
@@ -316,11 +316,16 @@ def _read_with_pillow(path: Path) -> _Stored:
 
 
 def _jpeg_of(image: JpegImageFile, orientation: object) -> Jpeg | None:
-    """None for what Pillow could not write again: odd sampling, colours stored as RGB."""
+    """None for what Pillow could not write again: odd sampling, colours stored as RGB, tables that
+    come after the first scan; and for grey ones, whose light is no one channel's of a look."""
     sampling = JpegImagePlugin.get_sampling(image)
-    if image.layers != 1 and (sampling < 0 or image.info.get("adobe_transform") == 0):
+    stored_rgb = image.info.get("adobe_transform") == 0
+    # Without a marker that says so, decoders go by the components' names.
+    named_rgb = [layer[0] for layer in image.layer] == [*b"RGB"] and "jfif" not in image.info
+    known = all(table in image.quantization for *_, table in image.layer)
+    if image.layers != 3 or sampling < 0 or stored_rgb or named_rgb or not known:
         return None
-    tables = tuple(tuple(image.quantization[table]) for _, _, _, table in image.layer)
+    tables = tuple(tuple(image.quantization[table]) for *_, table in image.layer)
     return Jpeg(tables, sampling, orientation if isinstance(orientation, int) else 1)
 
 

@@ -62,6 +62,10 @@ WELL_EXPLAINED = 0.9
 left over is visible to the eye in it."""
 
 
+MOST_CLIPPED = 0.05
+"""Clipped samples for each measured one up to which what JPEG did can be undone: they do not show
+the noise, and where most are clipped the tail that is not tells little of it."""
+
 STRUCTURED_PX = 16.0
 """Correlation length of the residual, in pixels, from which the message warns: JPEG's largest
 blocks are 16 pixels, and no sharp photo is blurred over as much; something is no noise there."""

@@ -10,9 +10,10 @@ import pytest
 from PIL import ExifTags, Image
 
 from fit import FitResult, Photo, fit, load_photo
-from fit._compression import _Camera, _Noise, _read_backwards
+from fit._compression import _bounded, _Camera, _Noise, _read_backwards
+from fit._parameters import declare, directions, to_entries
 from fit._pixels import Columns
-from model_jax import Layers, Look
+from model_jax import Exposure, Layers, Look, Response
 from model_jax._tone import Srgb
 
 from .looks import START, picture
@@ -43,27 +44,24 @@ def columns_at(photo: Photo, index: np.ndarray) -> Columns:
         pytest.param({"quality": 85, "progressive": True}, id="progressive"),
         pytest.param({"quality": 85, "orientation": 6}, id="turned"),
         pytest.param({"quality": 85, "orientation": 2}, id="mirrored"),
-        pytest.param({"quality": 85, "grey": True}, id="grey"),
+        pytest.param({"quality": 85, "tone_curve": Exposure(1.0, 2.2)}, id="film"),
     ],
 )
 def test_a_file_is_made_again(options: dict[str, Any], tmp_path: Path) -> None:
     """The light that was stored gives, without noise, each code that the file holds."""
     options = dict(options)
-    orientation, grey = options.pop("orientation", 1), options.pop("grey", False)
+    orientation, curve = options.pop("orientation", 1), options.pop("tone_curve", None)
     rng = np.random.default_rng(3)
     rows, cols = np.indices(SIZE)
     smooth = 120 + 60 * np.sin(cols / 9)[..., None] * np.cos(rows / 7)[..., None] * [1, 0.6, -0.5]
     codes = np.clip(smooth + rng.normal(scale=4, size=(*SIZE, 3)), 0, 255).astype(np.uint8)
-    if grey:
-        codes = codes[..., :1].repeat(3, axis=2)
     exif = Image.Exif()
     exif[ExifTags.Base.Orientation] = orientation
-    image = Image.fromarray(codes[..., 0] if grey else codes)
-    image.save(tmp_path / "a.jpg", exif=exif, **options)
-    photo = load_photo(tmp_path / "a.jpg")
+    Image.fromarray(codes).save(tmp_path / "a.jpg", exif=exif, **options)
+    photo = load_photo(tmp_path / "a.jpg", curve)
 
     Image.fromarray(codes).save(tmp_path / "a.png", exif=exif)
-    before = load_photo(tmp_path / "a.png")
+    before = load_photo(tmp_path / "a.png", curve)
     chosen = rng.random(codes[..., 0].size) < 0.7
     used, near = columns_at(photo, np.flatnonzero(chosen)), np.flatnonzero(~chosen)
     light, near_light = before.linear_at(used.index), before.linear_at(near)
@@ -79,6 +77,22 @@ def test_a_file_is_made_again(options: dict[str, Any], tmp_path: Path) -> None:
     camera._noise = _Noise(np.array([0.0, 1.0]), np.zeros(2))
     taken = camera.take(light, near_light, rng)
     np.testing.assert_array_equal(taken.light, photo.linear_at(used.index))
+
+
+def test_what_cannot_be_made_again_is_not_tried(tmp_path: Path) -> None:
+    """Grey: one channel of light made of three. Stored as RGB, with and without a marker: decoders
+    without one go by the names of the components."""
+    codes = np.random.default_rng(1).integers(0, 256, (*SIZE, 3)).astype(np.uint8)
+    Image.fromarray(codes[..., 0]).save(tmp_path / "grey.jpg")
+    Image.fromarray(codes).save(tmp_path / "marked.jpg", keep_rgb=True)
+    data = (tmp_path / "marked.jpg").read_bytes()
+    marker = data.index(b"\xff\xee")
+    length = 2 + int.from_bytes(data[marker + 2 : marker + 4], "big")
+    (tmp_path / "named.jpg").write_bytes(data[:marker] + data[marker + length :])
+    for name in ("grey", "marked", "named"):
+        photo = load_photo(tmp_path / f"{name}.jpg")
+        assert photo.lossy
+        assert photo.jpeg is None, name
 
 
 def test_a_line_is_read_backwards() -> None:
@@ -108,6 +122,40 @@ def test_a_level_line_says_nothing() -> None:
     assert _read_backwards(steps, ends) is None
     assert _read_backwards(np.zeros((40, 2)), ends) is None
     assert _read_backwards(steps, np.full((40, 2), np.nan)) is None
+
+
+def test_a_line_along_a_diagonal_is_not_level() -> None:
+    """A slope of 1 in every direction, of parameters that are correlated to 0.9999."""
+    rng = np.random.default_rng(6)
+    for _ in range(50):
+        one, other = rng.normal(size=(2, 40))
+        steps = np.column_stack([one, 0.9999 * one + np.sqrt(1 - 0.9999**2) * other])
+        scatter = np.column_stack([one, 0.9999 * one + np.sqrt(1 - 0.9999**2) * other])
+        rng.shuffle(scatter)
+        read = _read_backwards(steps, steps + scatter)
+        assert read is not None
+        assert np.all(np.abs(read[0]) < 5 * np.sqrt(np.diag(read[1])))
+
+
+def test_a_shift_beyond_a_bound_takes_what_follows_along() -> None:
+    """The tints' mean stays 1, and what is correlated with the tint at its bound moves too."""
+    parameters = declare(
+        START, [Response()], free=["brightness", "tint"], bounds={"tint.r": (0.9, 3.0)}
+    )
+    free = [p for p in parameters if p.role == "free"]
+    vector, (along, _) = to_entries(parameters), directions(free, parameters)
+    covariance = np.diag([0.1, 0.2, 0.3]) + 0.05
+    shift = np.linalg.lstsq(along, 0.3 * np.eye(len(vector))[0], rcond=None)[0]
+    shift += np.linalg.lstsq(along[4:7], np.array([-0.4, 0.3, 0.1]), rcond=None)[0]
+    found = vector + along @ _bounded(shift, covariance, vector, along, free)
+    assert found[4] == pytest.approx(0.9, abs=1e-8)
+    assert found[4] >= 0.9
+    assert found[4:7].mean() == pytest.approx(1, abs=1e-12)
+    row = along[4]
+    expected = shift - covariance @ row * ((vector + along @ shift)[4] - 0.9) / (
+        row @ covariance @ row
+    )
+    np.testing.assert_allclose(found, vector + along @ expected, atol=1e-8)
 
 
 LOOK = Look(brightness=1.6, shadow=0.3, tint=(0.8, 0.95, 1.25), background=0.12)
@@ -179,6 +227,36 @@ def test_other_fits(options: dict[str, Any], layers64: Layers, tmp_path: Path) -
     brightness = result.parameters["brightness"]
     assert brightness.stderr is not None
     assert abs(brightness.value - LOOK.brightness) < 4 * brightness.stderr
+
+
+@pytest.mark.parametrize("bound", [0.79, 0.81])
+def test_bounded_tints_keep_their_mean(bound: float, layers64: Layers, tmp_path: Path) -> None:
+    result = fit(
+        shot(layers64, tmp_path, "a.jpg"), layers64, START, bounds={"tint.r": (bound, 3.0)}
+    )
+    tints = [result.parameters[name].value for name in NAMES[2:5]]
+    assert np.mean(tints) == pytest.approx(1, abs=1e-9)
+    assert tints[0] >= bound
+
+
+def test_nothing_free_in_the_end_is_undone(layers64: Layers, tmp_path: Path) -> None:
+    """One of two tints at its bound: the other has nowhere to go."""
+    result = fit(
+        shot(layers64, tmp_path, "a.jpg"),
+        layers64,
+        START,
+        free=["tint.r", "tint.g"],
+        bounds={"tint.g": (0.5, 0.9)},
+    )
+    assert all(e.compression_shift is None for e in result.parameters.values())
+
+
+def test_much_that_is_clipped_is_not_undone(layers64: Layers, tmp_path: Path) -> None:
+    bright = replace(LOOK, brightness=6.0)
+    result = fit(shot(layers64, tmp_path, "a.jpg", bright), layers64, START)
+    assert result.photos[0].clipped > 0.05 * 3 * result.photos[0].used.sum()
+    assert all(e.compression_shift is None for e in result.parameters.values())
+    assert any("compression" in warning for warning in result.warnings)
 
 
 def test_one_of_two_photos_is_a_jpeg(layers64: Layers, tmp_path: Path) -> None:
