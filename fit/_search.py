@@ -454,7 +454,8 @@ def _second_opinion(
     square_sum = problem.square_sum(vector)
     margin = max(100 * margin, AGREE * square_sum)
     if problem.plain and problem.model.linear and problem.model.prior is None:
-        least = least_square_sum(jax.device_get(problem.few), vector, free, problem.parameters)
+        few = problem.few if problem.few.one is not None else _few_of_plain(problem)
+        least = least_square_sum(jax.device_get(few), vector, free, problem.parameters)
         if least is not None and not is_outside(least.vector, free):
             # A factor of sums of products knows a square sum to some eps of all light.
             room = margin + 64 * np.finfo(np.float64).eps * problem.count * problem.light_max**2
@@ -478,6 +479,12 @@ def _second_opinion(
     if best > square_sum + margin:
         return "higher", vector
     return ("lower" if best < square_sum - margin else "same"), found
+
+
+def _few_of_plain(problem: Problem) -> Samples:
+    """Moments of a problem that was solved on all its samples."""
+    with jax.enable_x64(True):
+        return moments(problem.samples)
 
 
 def _diverged(
