@@ -21,6 +21,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ._photo import Photo
+
+Light = Photo | Float[np.ndarray, "h w 3"]
+"""Linear light; of a photo only the parts that are asked for are decoded."""
+
 EVIDENCE = 10.0
 """Least ΔBIC that tells air: "very strong", odds of 150 to 1 (Kass & Raftery 1995, J. Am. Stat.
 Assoc. 90, 773, §3.2 and 4.1.3)."""
@@ -95,7 +100,7 @@ class AirEvidence:
 
 
 def find_air(
-    light: Float[np.ndarray, "h w 3"],
+    light: Light,
     planet: Bool[np.ndarray, "h w"],
     used: Bool[np.ndarray, "h w"],
     widths: Sequence[Float[np.ndarray, "h w"]],
@@ -118,13 +123,13 @@ def find_air(
     limb = _limb(light, planet, used)
     bare = _best(light, used, (), limb)
     shell = _best(light, used, widths, limb, bare)
-    samples = effective_samples(_residual(light, used, widths, limb, shell), used, True)
+    samples = effective_samples(_residual(light, used.shape[1], widths, limb, shell), used, True)
     floor = float(np.finfo(np.float32).eps) ** 2 * _energy(light, used)
     return AirEvidence(bare, shell, samples, air_evidence(bare, shell, samples, floor))
 
 
 def bare_limb(
-    light: Float[np.ndarray, "h w 3"],
+    light: Light,
     planet: Bool[np.ndarray, "h w"],
     used: Bool[np.ndarray, "h w"],
 ) -> LimbModel:
@@ -145,8 +150,14 @@ def air_evidence(bare: LimbModel, shell: LimbModel, samples: float, floor: float
     return float(samples * np.log(ratio) - more * np.log(samples))
 
 
+Window = tuple[slice, slice]
+"""Rows and columns of the photo."""
+
+
 def effective_samples(
-    residual: Float[np.ndarray, "h w 3"], used: Bool[np.ndarray, "h w"], squares: bool = False
+    residual: Callable[[Window], Float[np.ndarray, "h w 3"]],
+    used: Bool[np.ndarray, "h w"],
+    squares: bool = False,
 ) -> float:
     """Number of independent samples that would tell as much as the used ones.
 
@@ -161,20 +172,20 @@ def effective_samples(
     a correlation; lags up to 64 px, within tiles of 128 px, and of more than 64 tiles, 64 evenly
     chosen ones. Structure that is longer counts as more samples than it is.
 
+    Args:
+        residual: gives a window's; what is not used in it does not matter.
+        used: the samples' pixels.
+        squares: count them for square sums.
+
     Returns:
         From 1 to three times the used pixels.
     """
     count = int(used.sum())
-    covariance = np.zeros((3, 3))
-    for rows in _strips(used):
-        values = residual[rows][used[rows]].astype(np.float64)
-        covariance += values.T @ values
+    covariance, area = _correlation(residual, used, squares)
     total = float(np.trace(covariance))
     if not total > 0:
         return float(max(3 * count, 1))
-    covariance /= total
-    channels = 1 / float((covariance**2).sum())
-    area = _correlation_area(residual, used, squares)
+    channels = 1 / float(((covariance / total) ** 2).sum())
     return float(np.clip(count / area * channels, 1.0, 3.0 * count))
 
 
@@ -183,13 +194,16 @@ _WINDOW = 128
 _WINDOWS = 64
 
 
-def _correlation_area(
-    residual: Float[np.ndarray, "h w 3"], used: Bool[np.ndarray, "h w"], squares: bool
-) -> float:
-    """Sum of the autocorrelation, or of its square, over the lags about 0, px²; at least 1.
+def _correlation(
+    residual: Callable[[Window], Float[np.ndarray, "h w 3"]],
+    used: Bool[np.ndarray, "h w"],
+    squares: bool,
+) -> tuple[Float[np.ndarray, "3 3"], float]:
+    """Products of the channels, and the correlation's area.
 
-    Each lag counts by its share of pixels that have a partner: a ring 3 px wide has no more than 3
-    px of correlation across it.
+    The area is the sum of the autocorrelation, or of its square, over the lags about 0, px²; at
+    least 1. Each lag counts by its share of pixels that have a partner: a ring 3 px wide has no
+    more than 3 px of correlation across it.
     """
     corners = [
         (y, x)
@@ -202,15 +216,18 @@ def _correlation_area(
     power = np.zeros((size[0], size[1] // 2 + 1))
     pairs_power = np.zeros_like(power)
     count = 0
+    covariance = np.zeros((3, 3))
     for y, x in (corners[k] for k in chosen):
-        here = used[y : y + _WINDOW, x : x + _WINDOW]
-        values = np.where(here[..., None], residual[y : y + _WINDOW, x : x + _WINDOW], 0)
+        window = slice(y, y + _WINDOW), slice(x, x + _WINDOW)
+        here = used[window]
+        values = np.where(here[..., None], residual(window), 0)
+        covariance += np.einsum("hwi,hwj->ij", values, values, dtype=np.float64)
         power += (np.abs(np.fft.rfft2(values, size, axes=(0, 1))) ** 2).sum(axis=2)
         pairs_power += np.abs(np.fft.rfft2(here.astype(np.float32), size)) ** 2
         count += int(here.sum())
     products, pairs = np.fft.irfft2(power, size), np.fft.irfft2(pairs_power, size)
     if not products[0, 0] > 0:
-        return 1.0
+        return covariance, 1.0
     share = np.maximum(pairs / count, 0.5 / count)
     correlation = products / products[0, 0] / share
     lag = np.minimum(np.arange(size[0]), size[0] - np.arange(size[0]))
@@ -223,7 +240,8 @@ def _correlation_area(
     average = over_rings(correlation * share) / over_rings(share)
     ended = np.flatnonzero(average < 2 / np.sqrt(count))
     within = ring < (ended[0] if ended.size else _LAGS)
-    return max(1.0, float(((correlation ** (2 if squares else 1)) * share)[within].sum()))
+    area = float(((correlation ** (2 if squares else 1)) * share)[within].sum())
+    return covariance, max(1.0, area)
 
 
 @dataclass(frozen=True)
@@ -241,7 +259,7 @@ class _Limb:
 
 
 def _limb(
-    light: Float[np.ndarray, "h w 3"],
+    light: Light,
     planet: Bool[np.ndarray, "h w"],
     used: Bool[np.ndarray, "h w"],
 ) -> _Limb:
@@ -396,7 +414,7 @@ class _Sums:
 
 
 def _best(
-    light: Float[np.ndarray, "h w 3"],
+    light: Light,
     used: Bool[np.ndarray, "h w"],
     widths: Sequence[Float[np.ndarray, "h w"]],
     limb: _Limb,
@@ -407,7 +425,7 @@ def _best(
     Levels and light per width are solved for at each step.
     """
     sums = _add_up(light, used, widths)
-    at_limb = light.reshape(-1, 3)[limb.index].astype(np.float64) - sums.mean
+    at_limb = light[np.divmod(limb.index, used.shape[1])].astype(np.float64) - sums.mean
     columns = [np.asarray(width).reshape(-1)[limb.index].astype(np.float64) for width in widths]
     width_limb = np.stack(columns, axis=-1) if columns else np.zeros((len(limb.index), 0))
     width_limb = width_limb - sums.width_mean
@@ -471,7 +489,9 @@ def _best(
     )
 
 
-def _edge(limb: _Limb, p: np.ndarray, part: slice) -> Float[np.ndarray, " n"]:
+def _edge(
+    limb: _Limb, p: np.ndarray, part: slice | Bool[np.ndarray, " _"]
+) -> Float[np.ndarray, " _"]:
     """Share of the disc's light beyond a blurred edge; p: log blur, outward, right, down, halo."""
     beyond = limb.distance[part] - p[1] - limb.normal[part] @ p[2:4]
     return (1 - p[4]) * _normal(-beyond * np.exp(-p[0])) + p[4] * _normal(-beyond / HALO_PX)
@@ -565,14 +585,14 @@ def _air(
 
 
 def _strips(used: Bool[np.ndarray, "h w"]) -> Iterator[slice]:
-    """Rows in pieces of about a million pixels, so that copies stay small."""
-    rows = max(1, 2**20 // max(used.shape[1], 1))
+    """Rows in pieces of a quarter of a million pixels, so that copies stay small."""
+    rows = max(1, 2**18 // max(used.shape[1], 1))
     for start in range(0, used.shape[0], rows):
         yield slice(start, start + rows)
 
 
 def _columns(
-    light: Float[np.ndarray, "h w 3"],
+    light: Light,
     used: Bool[np.ndarray, "h w"],
     widths: Sequence[Float[np.ndarray, "h w"]],
     rows: slice,
@@ -584,7 +604,7 @@ def _columns(
 
 
 def _add_up(
-    light: Float[np.ndarray, "h w 3"],
+    light: Light,
     used: Bool[np.ndarray, "h w"],
     widths: Sequence[Float[np.ndarray, "h w"]],
 ) -> _Sums:
@@ -602,26 +622,29 @@ def _add_up(
     )
 
 
-def _energy(light: Float[np.ndarray, "h w 3"], used: Bool[np.ndarray, "h w"]) -> float:
+def _energy(light: Light, used: Bool[np.ndarray, "h w"]) -> float:
     return sum(float((light[r][used[r]].astype(np.float64) ** 2).sum()) for r in _strips(used))
 
 
 def _residual(
-    light: Float[np.ndarray, "h w 3"],
-    used: Bool[np.ndarray, "h w"],
+    light: Light,
+    width: int,
     widths: Sequence[Float[np.ndarray, "h w"]],
     limb: _Limb,
     model: LimbModel,
-) -> Float[np.ndarray, "h w 3"]:
-    """Photo less model, float32; 0 where no pixel is used."""
-    residual = np.zeros(light.shape, np.float32)
-    for rows in _strips(used):
-        here = used[rows]
-        part = light[rows][here] - np.asarray(model.level)
-        for width, amounts in zip(widths, model.widths, strict=True):
-            part -= np.asarray(width)[rows][here][:, None].astype(np.float64) * amounts
-        residual[rows][here] = part
+) -> Callable[[Window], Float[np.ndarray, "h w 3"]]:
+    """Photo less model, window by window."""
     p = np.array([np.log(model.blur_px), *model.shift_px, model.halo])
-    disc = limb.disc * _edge(limb, p, slice(None))[:, None]
-    residual.reshape(-1, 3)[limb.index] -= disc.astype(np.float32)
+    row, col = np.divmod(limb.index, width)
+
+    def residual(window: Window) -> Float[np.ndarray, "h w 3"]:
+        part = light[window] - np.asarray(model.level)
+        for column, amounts in zip(widths, model.widths, strict=True):
+            part -= np.asarray(column)[window][..., None].astype(np.float64) * amounts
+        y, x = row - window[0].start, col - window[1].start
+        inside = (y >= 0) & (y < part.shape[0]) & (x >= 0) & (x < part.shape[1])
+        disc = limb.disc[inside] * _edge(limb, p, inside)[:, None]
+        part[y[inside], x[inside]] -= disc
+        return part
+
     return residual

@@ -23,6 +23,7 @@ from model_jax._shapes import AnyArray
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
 from ._compression import Undone, undo_compression
 from ._loss import Loss, LossName, check_loss, weigh
+from ._memory import give_back
 from ._parameters import (
     CHANNELS,
     Entries,
@@ -75,6 +76,9 @@ from ._uncertainty import (
 
 MAX_STEPS = {"nelder_mead": 4096}
 """Steps a solver is given unless told; 256 for those with derivatives."""
+
+LARGE = 2**21
+"""Samples from which on memory is counted."""
 
 BELIEVED = 0.25
 """Weight from which a sample of a robust fit counts as light to be explained: with Cauchy's loss
@@ -194,6 +198,8 @@ def fit(
     columns = problem.columns
     times.append(perf_counter())
     problem, end = _rounds(task, problem, asked)
+    if problem.count > LARGE:
+        give_back()  # what compiling left behind
     times.append(perf_counter())
     result = _judge(task, problem, end, pixels, left_out)
     airless = _airless(task, columns, result)
@@ -763,7 +769,12 @@ def _airless(task: _Task, columns: Sequence[Columns], result: FitResult) -> str 
         used = one.used
         if task.loss != "linear":
             used = used & (result.weights(len(found)) > BELIEVED)
-        evidence = find_air(as_picture(photo), np.asarray(layers.planet) != 0, used, widths)
+        evidence = find_air(
+            photo if isinstance(photo, Photo) else as_picture(photo),
+            np.asarray(layers.planet) != 0,
+            used,
+            widths,
+        )
         if evidence.has_air:
             return None
         found.append(

@@ -7,11 +7,9 @@ This is where `fit` and `render_gl` meet; the core of `fit` knows arrays only. P
 several: pictures are made in bands of rows, and of one photo at a time.
 """
 
-import ctypes
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import metadata
@@ -40,6 +38,7 @@ from model_jax._shapes import AnyArray
 
 from ._fit import fit
 from ._loss import check_loss
+from ._memory import give_back, map_large_blocks
 from ._parameters import declare, to_entries, to_look, to_responses
 from ._photo import Photo, load_photo
 from ._report import Section, photo_section, report_html
@@ -96,9 +95,6 @@ class View:
     scene: Scene | None
     """On the photo's pixel grid; None where layers came from a file."""
     scene_path: str | None
-    height: Float[np.ndarray, "h w"] | None
-    """Above the limb, of each pixel's line of sight; float32 (it is made on the way in float64,
-    which is best done while little else is held)."""
 
 
 def run_job(
@@ -120,7 +116,7 @@ def run_job(
     look, responses = start_values(job, files[0].look if files else Look())
     _check_names(job, look, responses)  # slips are found out before the work, not after
     folder = prepare_folder(out)
-    _give_back_memory()
+    map_large_blocks()
     views: list[View] = []
     layers: list[Layers] = []
     seconds = {"render": 0.0}
@@ -132,6 +128,7 @@ def run_job(
         views.append(view)
         layers.append(_layers(job, view))
         seconds["render"] += time.perf_counter() - started
+    give_back()  # the driver's
     progress("fitting")
     result = fit(
         [view.photo for view in views],
@@ -155,7 +152,7 @@ def run_job(
     document = _document(job, views, result, seconds)
     maps = [_write_maps(folder, result, number) for number in range(len(views))]
     result = replace(result, evidence=None)  # samples and layers, as large as the photos
-    _give_back_memory()
+    give_back()
     sections = [
         _write_photo(folder, view, layers.pop(0), result, number, maps[number])
         for number, view in enumerate(views)
@@ -167,20 +164,6 @@ def run_job(
     text = json.dumps(document, indent=2, allow_nan=False) + "\n"
     render_gl.write_whole(folder / "fit.json", lambda path: _write_text(path, text))
     return result, document
-
-
-_M_MMAP_THRESHOLD = -3
-
-
-def _give_back_memory() -> None:
-    """What is freed goes back to the system: what glibc holds now, and from now on blocks of 4 MB.
-
-    Left alone it comes to keep all that is below 32 MB: hundreds of MB after a large photo's fit.
-    """
-    with suppress(AttributeError, OSError, TypeError):  # another C library, or none to be found
-        library = ctypes.CDLL(None)
-        library.mallopt(_M_MMAP_THRESHOLD, 4 << 20)
-        library.malloc_trim(0)
 
 
 def start_values(job: Job, look: Look) -> tuple[Look, tuple[Response, ...]]:
@@ -238,11 +221,9 @@ def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> View:
         mask = mask if mask is not None else file.photo.mask
     photo = load_photo(name, curve, mask)
     if file is None:
-        return View(name, photo, None, None, None)
+        return View(name, photo, None, None)
     height, width = photo.shape
-    scene = _at_photo_size(file.scene, width, height, name)
-    tall = limb_height(scene).astype(np.float32)
-    return View(name, photo, scene, job.scenes[number], tall)
+    return View(name, photo, _at_photo_size(file.scene, width, height, name), job.scenes[number])
 
 
 def _layers(job: Job, view: View) -> Layers:
@@ -340,6 +321,7 @@ def _write_photo(
     layers = replace(jax.tree.map(np.asarray, layers), width_unit=result.width_unit)
     planes, shadowed = predict(layers, result.look, told.response)
     del layers
+    give_back()
     picture = np.moveaxis(planes, 0, -1)
     render_gl.write_picture(folder / f"image{ending}", picture, view.scene)
     section = photo_section(
@@ -347,7 +329,7 @@ def _write_photo(
         view.photo,
         picture[..., :3],
         told.used,
-        view.height,
+        None if view.scene is None else limb_height(view.scene, np.float32),
         view.photo.tone_curve,
         shadowed=shadowed,
         influence=maps.influence,

@@ -104,8 +104,8 @@ def _bin(
     if columns.dark is not None:
         number = number * BINS + _bin_numbers(columns.dark)
     if columns.clipped is not None:
-        number = number * 27 + (columns.clipped.astype(np.intp) + 1) @ np.array([9, 3, 1])
-        _, first, number = np.unique(number, return_index=True, return_inverse=True)
+        for k in range(3):
+            number = number * 3 + (columns.clipped[:, k] + 1)
     counts = np.bincount(number)
     filled = np.flatnonzero(counts)
     weight = counts[filled].astype(np.float64)
@@ -115,6 +115,10 @@ def _bin(
 
     light = np.stack([mean(columns.light[:, k]) for k in range(3)], axis=-1)
     squares = np.einsum("nk,nk->k", columns.light, columns.light, dtype=np.float64)
+    clipped = None
+    if columns.clipped is not None:
+        kind = filled[:, None] // np.array([9, 3, 1]) % 3 - 1
+        clipped = np.append(kind, np.zeros((1, 3)), axis=0).astype(np.int8)
     within = np.sqrt(np.maximum(squares - weight @ light**2, 0))
     means = replace(
         columns,
@@ -122,9 +126,7 @@ def _bin(
         lit=np.append(mean(columns.lit), 0),
         dark=None if columns.dark is None else np.append(mean(columns.dark), 0),
         light=np.append(light, within[None], axis=0),
-        clipped=None
-        if columns.clipped is None
-        else np.append(columns.clipped[first], np.zeros_like(columns.clipped[:1]), axis=0),
+        clipped=clipped,
     )
     return means, np.append(weight, 1), np.append(np.ones_like(weight), 0)
 

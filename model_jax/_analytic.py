@@ -4,6 +4,7 @@ The oracle of the rasteriser (for a sphere without relief) and the layer source 
 OpenGL. Host part in float64 (`_view`), per-pixel part in float32 or float64 JAX (`_intersect`).
 """
 
+from collections.abc import Iterator
 from functools import partial
 
 import jax
@@ -18,6 +19,9 @@ from ._layers import Layers
 from ._scene import Scene
 from ._shapes import AnyArray, Scalar
 from ._view import View, eye_center, pixel_slopes, ray_offsets, view_of
+
+BAND = 2**18
+"""Pixels looked at at once where all are asked: some MB for each float64 quantity."""
 
 
 def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
@@ -98,16 +102,30 @@ def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
     return front, back, planet, jnp.stack(starts), jnp.stack(ends)
 
 
-def limb_height(scene: Scene) -> Float[np.ndarray, "h w"]:
+def bands(scene: Scene) -> Iterator[tuple[slice, View]]:
+    """Rows of the picture from the top and the float64 view of each: what is asked of all pixels
+    then takes no more memory than the answer. The last band reaches back over the one before it,
+    so that all have one shape and share one compiled program."""
+    camera = scene.camera
+    rows = min(camera.height, max(1, BAND // camera.width))
+    view = view_of(scene).astype(jnp.float64)
+    for start in range(0, camera.height, rows):
+        first = min(start, camera.height - rows)
+        yield slice(first, first + rows), view.from_pixel(0, first)
+
+
+def limb_height(scene: Scene, dtype: DTypeLike = np.float64) -> Float[np.ndarray, "h w"]:
     """Height above the ground at which each pixel's line of sight passes the planet's centre.
 
-    Float64 NumPy, scene length units; negative where the line meets the planet. The abscissa of a
-    limb profile.
+    Computed in float64 whatever the dtype, scene length units; negative where the line meets the
+    planet. The abscissa of a limb profile.
     """
-    radius = float(scene.planet.radius)
+    camera, radius = scene.camera, float(scene.planet.radius)
+    height = np.empty((camera.height, camera.width), dtype)
     with jax.enable_x64(True):
-        view = view_of(scene).astype(jnp.float64)
-        return np.asarray(_limb_height(view, radius, scene.camera.height, scene.camera.width))
+        for band, view in bands(scene):
+            height[band] = _limb_height(view, radius, band.stop - band.start, camera.width)
+    return height
 
 
 @partial(jax.jit, static_argnames=("height", "width"))

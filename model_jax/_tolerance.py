@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ._analytic import trace_view
+from ._analytic import bands, trace_view
 from ._combine import layer_widths
 from ._layers import Layers
 from ._scene import Scene
@@ -55,11 +55,16 @@ def shadows_in_view(scene: Scene) -> tuple[bool, ...]:
     """
     if scene.sun is None:
         return ()
+    seen = np.zeros(1 + len(scene.occluders), bool)
     with jax.enable_x64(True):
-        view = view_of(scene).astype(jnp.float64)
-        front, back, _, *ends = trace_view(view, scene.camera.height, scene.camera.width)
-        begin, end = (np.clip(np.reshape(e, (-1, *front.shape)), front, back) for e in ends)
-    return tuple(bool(np.max(dark) > 1e-9) for dark in end - begin)
+        for band, view in bands(scene):
+            rows = band.stop - band.start
+            front, back, _, *ends = trace_view(view, rows, scene.camera.width)
+            begin, end = (np.clip(np.reshape(e, (-1, *front.shape)), front, back) for e in ends)
+            seen |= np.max(end - begin, axis=(1, 2)) > 1e-9
+            if np.all(seen):
+                break
+    return tuple(seen.tolist())
 
 
 def _displaced(view: View, ground: float, shell: float, shadow: float) -> View:

@@ -8,9 +8,12 @@ to the planet's centre, where nothing cancels, so that a camera 232 radii away l
 than a near one.
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Float
 
@@ -63,6 +66,8 @@ class View(eqx.Module):
 
     pixel: Scalar
     """Side of a pixel on the plane at eye depth 1."""
+    principal: Float[AnyArray, "2"]
+    """Column and row index of the optical axis."""
     aim: Aim
     """At the planet's centre."""
     camera: Scalar
@@ -77,6 +82,20 @@ class View(eqx.Module):
     cones: tuple[ShadowCone, ...]
     """Shadow volumes: the planet's first."""
     occluders: tuple[Body, ...]
+
+    def from_pixel(self, column: int, row: int) -> "View":
+        """The view whose first pixel is this one's pixel there: a window of the picture."""
+        first = np.asarray([float(column), float(row)])
+
+        def moved(aim: Aim) -> Aim:
+            return replace(aim, anchor=aim.anchor - first)
+
+        return replace(
+            self,
+            principal=self.principal - first,
+            aim=moved(self.aim),
+            occluders=tuple(replace(body, aim=moved(body.aim)) for body in self.occluders),
+        )
 
     def astype(self, dtype: DTypeLike) -> "View":
         """All leaves as JAX arrays of one dtype."""
@@ -95,6 +114,7 @@ def view_of(scene: Scene) -> View:
     depth = center[2]
     return View(
         pixel=camera.pixel_size(),
+        principal=(np.asarray([camera.width, camera.height]) - 1) / 2,
         aim=_aim(camera, center),
         camera=-depth,
         near=camera.near / radius - depth,
@@ -123,8 +143,8 @@ def _aim(camera: Camera, center: Float[AnyArray, "3"]) -> Aim:
 def pixel_slopes(view: View, height: int, width: int) -> tuple[AnyArray, AnyArray]:
     """x and y of the rays `(x, y, 1)` through the pixel centres, [1, w] and [h, 1]."""
     dtype = jnp.result_type(view.pixel)
-    x = view.pixel * (jnp.arange(width, dtype=dtype)[None, :] - (width - 1) / 2)
-    y = view.pixel * ((height - 1) / 2 - jnp.arange(height, dtype=dtype)[:, None])
+    x = view.pixel * (jnp.arange(width, dtype=dtype)[None, :] - view.principal[0])
+    y = view.pixel * (view.principal[1] - jnp.arange(height, dtype=dtype)[:, None])
     return x, y
 
 

@@ -25,19 +25,21 @@ def test_effective_samples_of_blurred_noise(sigma: float, rng: np.random.Generat
     used = np.ones((512, 512), dtype=bool)
     used[100:200, 50:300] = False
     count = 3 * used.sum()
-    assert count / effective_samples(noise, used) == pytest.approx(4 * np.pi * sigma**2, rel=0.2)
-    squares = effective_samples(noise, used, squares=True)
+    assert count / effective_samples(noise.__getitem__, used) == pytest.approx(
+        4 * np.pi * sigma**2, rel=0.2
+    )
+    squares = effective_samples(noise.__getitem__, used, squares=True)
     assert count / squares == pytest.approx(2 * np.pi * sigma**2, rel=0.2)
 
 
 def test_effective_samples_of_white_noise(rng: np.random.Generator) -> None:
     noise = rng.normal(size=(200, 300, 3))
     used = rng.random((200, 300)) < 0.3
-    assert effective_samples(noise, used) == pytest.approx(3 * used.sum(), rel=0.1)
+    assert effective_samples(noise.__getitem__, used) == pytest.approx(3 * used.sum(), rel=0.1)
     grey = np.repeat(noise[..., :1], 3, axis=2)
-    assert effective_samples(grey, used) == pytest.approx(used.sum(), rel=0.1)
-    assert effective_samples(0 * noise, used) == 3 * used.sum()
-    assert effective_samples(noise, np.zeros_like(used)) == 1.0
+    assert effective_samples(grey.__getitem__, used) == pytest.approx(used.sum(), rel=0.1)
+    assert effective_samples((0 * noise).__getitem__, used) == 3 * used.sum()
+    assert effective_samples(noise.__getitem__, np.zeros_like(used)) == 1.0
 
 
 @pytest.mark.parametrize("height", [0.03, 0.1])
