@@ -226,7 +226,10 @@ def search(
             continue
         second = ""
         if last and along.shape[1]:
-            second, other = _second_opinion(problem, vector, free, solver, start, margin)
+            square_sum = float(gram[-1, -1])
+            second, other = _second_opinion(
+                problem, vector, square_sum, free, solver, start, margin
+            )
             if second == "lower" and opinions < _OPINIONS:
                 opinions += 1
                 held, candidates = other, [other]
@@ -440,6 +443,7 @@ def _restored(
 def _second_opinion(
     problem: Problem,
     vector: Entries,
+    square_sum: float,
     free: Sequence[Parameter],
     solver: str,
     start: Entries,
@@ -451,7 +455,6 @@ def _second_opinion(
     another start came out: "same", "higher" or "lower".
     """
     along, _ = directions(free, problem.parameters)
-    square_sum = problem.square_sum(vector)
     margin = max(100 * margin, AGREE * square_sum)
     if problem.plain and problem.model.linear and problem.model.prior is None:
         few = problem.few if problem.few.one is not None else _few_of_plain(problem)
