@@ -110,7 +110,9 @@ def test_a_worse_end_is_told(free: list[str], noisy, layers: Layers, monkeypatch
     (problem, end) = found[-1]
     wrong = end.vector.copy()
     wrong[0] *= 1.05
-    words, better = search_module._second_opinion(problem, wrong, end.free, "lm", wrong, 0.0)
+    words, better = search_module._second_opinion(
+        problem, wrong, problem.square_sum(wrong), end.free, "lm", wrong, 0.0
+    )
     assert words == "lower"
     assert problem.square_sum(better) == pytest.approx(end.square_sum, rel=1e-6)
 
