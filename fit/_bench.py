@@ -323,6 +323,7 @@ _FRESH = """
 import json, sys
 from time import perf_counter
 import jax
+import scipy.linalg  # JAX does at its first decomposition; loading modules is no compiling
 compiled = []
 def listen(name, seconds, **_):
     if name.endswith("backend_compile_duration"):

@@ -79,6 +79,20 @@ class Atlas(eqx.Module):
         return vector.at[TINT].add(tints)
 
 
+@eqx.filter_jit
+def _frame(
+    atlas: Atlas, step: Float[AnyArray, " p"]
+) -> tuple[Float[jax.Array, " e"], Float[jax.Array, "e p"]]:
+    """The vector after a step, and its slopes; compiled: a solver's program traces it once."""
+
+    def twice(step: Float[jax.Array, " p"]) -> tuple[jax.Array, jax.Array]:
+        entries = atlas.entries(step)
+        return entries, entries
+
+    along, entries = jax.jacfwd(twice, has_aux=True)(jnp.asarray(step))
+    return entries, along
+
+
 class Pass(eqx.Module):
     """One exact pass as a function of the solver's numbers; square sums in units of `size`²."""
 
@@ -88,8 +102,8 @@ class Pass(eqx.Module):
     size: Float[AnyArray, ""]
 
     def __call__(self, step: Float[jax.Array, " p"]) -> Float[jax.Array, "q q"]:
-        along = jax.jacfwd(self.atlas.entries)(step)
-        found = gram(self.atlas.entries(step), along, self.samples, self.model) / self.size**2
+        entries, along = _frame(self.atlas, step)
+        found = exact_gram(entries, along, self.samples, self.model) / self.size**2
         # Where light overflows no step is better; the factor of a NaN would pass for a cost of 0.
         return jnp.where(jnp.isfinite(found).all(), found, jnp.inf)
 
@@ -156,15 +170,14 @@ def _run(
 
     All in one program: each costs a good part of a second to compile.
     """
-    step = jnp.zeros_like(atlas.start)
-    along = jax.jacfwd(atlas.entries)(step)
-    first = gram(atlas.entries(step), along, samples, model)
+    begin, along = _frame(atlas, jnp.zeros_like(atlas.start))
+    first = exact_gram(begin, along, samples, model)
     size = jnp.sqrt(_light(samples))
     size = jnp.where(size > 0, size, 1.0)
     whitened = eqx.tree_at(lambda a: a.whiten, atlas, _whitening(first[:-1, :-1]) * size)
     step, history, count = run(solver, Pass(whitened, samples, model, size), max_steps)
-    end = whitened.entries(step)
-    return atlas.entries(jnp.zeros_like(step)), end, first[-1, -1], history * size**2, count
+    end, _ = _frame(whitened, step)
+    return begin, end, first[-1, -1], history * size**2, count
 
 
 def _light(samples: Samples) -> Float[jax.Array, ""]:
