@@ -47,7 +47,11 @@ class SourceOption(StrEnum):
 class DepthOption(StrEnum):
     """Depth format of rasterised layers."""
 
+    auto = "auto"
+    window16 = "window16"
     window24 = "window24"
+    window32f = "window32f"
+    reversed32f = "reversed32f"
     linear = "linear"
 
 
@@ -56,7 +60,10 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machine
 Source = Annotated[
     SourceOption, typer.Option(help="Layers by OpenGL passes, or by exact intersection.")
 ]
-Depth = Annotated[DepthOption, typer.Option(help="Depth format of the passes.")]
+Depth = Annotated[
+    DepthOption,
+    typer.Option(help="Depth format of the passes; auto is the cheapest that is exact enough."),
+]
 
 
 def main() -> None:
@@ -85,7 +92,7 @@ def render(
         str, typer.Option("-o", "--out", help="OUT.exr: layers and picture; OUT.png: picture only.")
     ],
     source: Source = SourceOption.raster,
-    depth: Depth = DepthOption.window24,
+    depth: Depth = DepthOption.auto,
     size: Annotated[
         str | None, typer.Option(metavar="WxH", help="Another size; vertical field of view stays.")
     ] = None,
@@ -97,10 +104,17 @@ def render(
         raise InputError(f"{out}: is neither .exr (layers and picture) nor .png (picture)")
     file = render_gl.load_scene(scene)
     drawn = file.scene if size is None else _resized(file.scene, size)
+    facts: dict[str, Any] = {"source": source.value}
+    told, depth_format = source.value, "linear"
+    if source is SourceOption.raster:
+        choice = render_gl.choose_format(drawn, depth.value)
+        depth_format = choice.depth_format
+        facts |= {"depth": depth_format, "depth_error": choice.error, "reason": choice.reason}
+        told += f", {depth_format} depths: {choice.reason}"
     with _steps() as step:
         step("drawing")
-        layers = make_layers(drawn, source.value, depth.value)
-        picture = _picture(drawn, layers, file.look, source, depth)
+        layers = make_layers(drawn, source.value, depth_format)
+        picture = _picture(drawn, layers, file.look, source, depth_format)
         step("writing")
         if suffix == ".exr":
             render_gl.write_layers(out, layers, drawn, picture)
@@ -109,9 +123,8 @@ def render(
     camera = drawn.camera
     _say(
         as_json,
-        {"out": out, "width": camera.width, "height": camera.height, "source": source.value},
-        f"{out}: {camera.width}×{camera.height}, {source.value}"
-        + (f", {depth.value}" if source is SourceOption.raster else ""),
+        {"out": out, "width": camera.width, "height": camera.height} | facts,
+        f"{out}: {camera.width}×{camera.height}, {told}",
     )
 
 
@@ -134,6 +147,9 @@ def fit(
     far: Annotated[
         float | None, typer.Option(help="With --layers: far plane of window depths.")
     ] = None,
+    is_reversed: Annotated[
+        bool, typer.Option("--reversed", help="With --layers: the near plane is at depth 1.")
+    ] = False,
     source: Annotated[
         SourceOption | None,
         typer.Option(help="Layers by OpenGL passes (the default), or by exact intersection."),
@@ -184,8 +200,10 @@ def fit(
     has an exposure and a black level of its own instead of the background.
     """
     _check_paths(paths, layers)
-    if layers is None and (near is not None or far is not None):
-        raise InputError("fit: --near and --far go with --layers; a scene has its own clip planes")
+    if layers is None and (near is not None or far is not None or is_reversed):
+        raise InputError(
+            "fit: --near, --far and --reversed go with --layers; a scene has its own clip planes"
+        )
     if layers is not None and (source is not None or depth is not None):
         raise InputError("fit: --source and --depth draw a scene's layers; --layers has its own")
     job = Job(
@@ -194,6 +212,7 @@ def fit(
         layers=layers,
         near=near,
         far=far,
+        is_reversed=is_reversed,
         source=(source or SourceOption.raster).value,
         depth_format=(depth or DepthOption.linear).value,
         tone_curve=_tone_curve(tone_curve),
@@ -226,7 +245,7 @@ def check(
     out: Annotated[
         str | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for the three EXRs.")
     ] = None,
-    depth: Depth = DepthOption.window24,
+    depth: Depth = DepthOption.auto,
     as_json: JsonOption = False,
 ) -> None:
     """Hold the OpenGL picture against JAX on the same layers, and the layers against exact ones."""
@@ -245,7 +264,7 @@ def check(
     if as_json:
         print(json.dumps(found.summary() | {"out": str(folder)}, allow_nan=False))
     else:
-        print_check(Console(), found.summary(), scene, depth.value, str(folder))
+        print_check(Console(), found.summary(), scene, str(folder))
     if not found.passed:
         raise SystemExit(1)
 
@@ -325,11 +344,11 @@ def _check_paths(paths: list[str], layers: str | None) -> None:
 
 
 def _picture(
-    scene: Scene, layers: Layers, look: Look, source: SourceOption, depth: DepthOption
+    scene: Scene, layers: Layers, look: Look, source: SourceOption, depth_format: str
 ) -> Any:
     """The picture by the source's own combine: the shader's for raster, JAX's for analytic."""
     if source is SourceOption.raster:
-        return render_gl.render_image(scene, look, depth.value)
+        return render_gl.render_image(scene, look, depth_format)
     return composite(layers, look)
 
 

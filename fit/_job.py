@@ -65,9 +65,11 @@ class Job:
     """Layer EXR of some renderer, for one photo."""
     near: float | None = None
     far: float | None = None
+    is_reversed: bool = False
+    """Window depths with the near plane at 1."""
     source: Source = "raster"
     """Where a scene's layers come from."""
-    depth_format: render_gl.DepthFormat = "linear"
+    depth_format: str = "linear"
     tone_curve: str | None = None
     """Of one photo; several have theirs in their scenes."""
     mask: str | None = None
@@ -198,7 +200,7 @@ def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
         )
 
 
-def make_layers(scene: Scene, source: Source, depth_format: render_gl.DepthFormat) -> Layers:
+def make_layers(scene: Scene, source: Source, depth_format: str) -> Layers:
     """Layers from the rasteriser or from exact intersection (which draws no relief, no albedo)."""
     if source == "raster":
         return render_gl.render(scene, depth_format)
@@ -231,7 +233,7 @@ def _layers(job: Job, view: View) -> Layers:
     if view.scene is not None:
         return make_layers(view.scene, job.source, job.depth_format)
     assert job.layers is not None
-    return render_gl.read_layers(job.layers, job.near, job.far)
+    return render_gl.read_layers(job.layers, job.near, job.far, job.is_reversed)
 
 
 def _at_photo_size(scene: Scene, width: int, height: int, photo: str) -> Scene:

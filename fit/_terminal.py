@@ -89,12 +89,11 @@ def print_bench(console: Console, document: dict[str, Any], out: str) -> None:
     console.print(f"{out}/fit-bench.csv, fit-bench.json", markup=False, highlight=False)
 
 
-def print_check(
-    console: Console, summary: dict[str, Any], scene: str, depth: str, folder: str
-) -> None:
+def print_check(console: Console, summary: dict[str, Any], scene: str, folder: str) -> None:
     """Both halves of a cross-check."""
     parity, accuracy = summary["parity"], summary["accuracy"]
-    console.print(f"{scene}, {depth} depth", style="bold", markup=False, highlight=False)
+    console.print(f"{scene}, {summary['depth']} depth", style="bold", markup=False, highlight=False)
+    console.print(summary["depth_reason"], style="dim", markup=False, highlight=False)
     _verdict(console, parity["passed"], "GLSL against JAX on the same layers")
     table = Table(box=None, pad_edge=False, header_style="dim")
     for name in ("difference", "max", "99.9 %"):
@@ -134,8 +133,10 @@ def print_check(
     console.print(table)
     console.print(
         "predicted from tessellation, pixel grid, float32 transform and depth format; "
-        f"{accuracy['outside']} widths outside; {accuracy['edges']} pixels on a silhouette, where "
-        "only the widest chord bounds the error",
+        f"{accuracy['outside']} widths outside. Left out are {accuracy['silhouettes']:,} pixels on "
+        "silhouettes: a ray that just meets or misses a triangle may be wrong by the widest chord, "
+        f"{_number(accuracy['widest_chord'])}; the worst is by "
+        f"{_number(accuracy['silhouette_max'])}",
         style="dim",
         highlight=False,
     )

@@ -16,6 +16,7 @@ from ._errors import AirlightError as AirlightError
 from ._errors import DriverError as DriverError
 from ._errors import InputError as InputError
 from ._layers import DepthTextures as DepthTextures
+from ._layers import Encoding as Encoding
 from ._layers import Layers as Layers
 from ._layers import depth_constants as depth_constants
 from ._layers import linearize_depth as linearize_depth
@@ -31,6 +32,7 @@ from ._scene import Occluder as Occluder
 from ._scene import Planet as Planet
 from ._scene import Scene as Scene
 from ._scene import Sun as Sun
+from ._tolerance import WidthRanges as WidthRanges
 from ._tolerance import shadows_in_view as shadows_in_view
 from ._tolerance import width_ranges as width_ranges
 from ._tone import Exposure as Exposure

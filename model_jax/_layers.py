@@ -1,10 +1,12 @@
 """Depth layers, and the one way from depth textures to them.
 
-    DepthTextures (window values, format) ── linearize ──> Layers (relative eye depth)
+    DepthTextures (values, encoding) ── linearize ──> Layers (relative eye depth)
 
 `Layers` is what the combine reads, whoever made it: the rasteriser, the analytic intersection or
 somebody's own renderer. What a scene does not need is absent (`None`), never zero-filled.
 """
+
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -15,6 +17,10 @@ from jaxtyping import Float
 from ._errors import InputError
 from ._safe import is_host
 from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar, Shadows
+
+Encoding = Literal["window", "reversed", "linear"]
+"""What a depth texture's numbers are: window depth in [0, 1] with the near plane at 0, "reversed"
+with the near plane at 1, or eye depth."""
 
 
 def _array(value: object) -> AnyArray:
@@ -93,7 +99,7 @@ class Layers(eqx.Module):
 class DepthTextures(eqx.Module):
     """What a depth-pass renderer leaves behind, before linearisation.
 
-    `linear` False: window depth in [0, 1]; True: eye depth relative to `reference`.
+    Eye depth of the "linear" encoding is relative to `reference`.
     """
 
     front: Float[AnyArray, "h w"]
@@ -102,14 +108,18 @@ class DepthTextures(eqx.Module):
     shadow_back: Shadows | None
     near: Scalar
     far: Scalar
-    linear: bool = eqx.field(static=True)
+    encoding: Encoding = eqx.field(static=True)
     reference: Scalar = 0.0
 
     def linearize(self) -> Layers:
         """`Layers` without surface, planet mask or colour (the renderer adds what it drew)."""
 
+        linear, is_reversed = self.encoding == "linear", self.encoding == "reversed"
+
         def depth(texture: AnyArray) -> AnyArray:
-            return texture if self.linear else linearize_depth(texture, self.near, self.far)
+            if linear:
+                return texture
+            return linearize_depth(texture, self.near, self.far, is_reversed)
 
         shadow_front, shadow_back = self.shadow_front, self.shadow_back
 
@@ -118,18 +128,24 @@ class DepthTextures(eqx.Module):
             back=depth(self.back),
             shadow_front=None if shadow_front is None else depth(shadow_front),
             shadow_back=None if shadow_back is None else depth(shadow_back),
-            reference=self.reference if self.linear else 0.0,
+            reference=self.reference if linear else 0.0,
             width_unit=self.far - self.near,
         )
 
 
-def depth_constants(near: Scalar, far: Scalar) -> tuple[Scalar, Scalar]:
-    """`a = far / (far - near)`, `b = far·near / (near - far)` of the paper's ZParam."""
+def depth_constants(near: Scalar, far: Scalar, is_reversed: bool = False) -> tuple[Scalar, Scalar]:
+    """`a = far / (far - near)`, `b = far·near / (near - far)` of the paper's ZParam.
+
+    Of a reversed window depth, `near (far - z) / (z (far - near))`, solved for z likewise:
+    `a = near / (near - far)`, `b = far·near / (far - near)`.
+    """
+    if is_reversed:
+        return near / (near - far), far * near / (far - near)
     return far / (far - near), far * near / (near - far)
 
 
 def linearize_depth(
-    window: Float[AnyArray, "*shape"], near: Scalar, far: Scalar
+    window: Float[AnyArray, "*shape"], near: Scalar, far: Scalar, is_reversed: bool = False
 ) -> Float[AnyArray, "*shape"]:
     """Eye depth of a window depth: `z = b / (window - a)`.
 
@@ -137,6 +153,7 @@ def linearize_depth(
 
     Args:
         window: depth-buffer values in [0, 1], any shape; near plane = 0, far plane = 1.
+        is_reversed: near plane = 1, far plane = 0.
         near, far: eye depths of the clip planes, 0 < near < far, any length unit.
 
     Returns:
@@ -146,7 +163,7 @@ def linearize_depth(
     Twin: `linearize_depth` in `combine.glsl`.
     """
     window = jnp.asarray(window)
-    a, b = depth_constants(near, far)
+    a, b = depth_constants(near, far, is_reversed)
     if is_host(near, far):
         a, b = jnp.asarray(a, window.dtype), jnp.asarray(b, window.dtype)
     return b / (window - a)

@@ -5,46 +5,67 @@ spheres are only known to lie between two radii lie between the widths at the ex
 no linearisation, and holds at the limb, where the derivative is infinite.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ._analytic import bands, trace_view
 from ._combine import layer_widths
 from ._layers import Layers
 from ._scene import Scene
-from ._view import View, view_of
+from ._view import View
 
 Range = tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]
 
 
-def width_ranges(scene: Scene, inner: float, outer: float) -> tuple[Range, Range]:
-    """Least and greatest lit and dark width when every surface may be displaced.
+@dataclass(frozen=True)
+class WidthRanges:
+    """What displaced surfaces can make of each pixel; float64, scene length units."""
+
+    lit: Range
+    """Least and greatest lit width."""
+    dark: Range
+    """Least and greatest shadowed width; zero without a sun."""
+    back: Float[np.ndarray, "h w"]
+    """Deepest end of the air, eye depth relative to the planet's centre."""
+    silhouette: Bool[np.ndarray, "h w"]
+    """Where it depends on the displacement what the ray meets at all: air, ground, a shadow."""
+
+
+def width_ranges(scene: Scene, inner: float, outer: float) -> WidthRanges:
+    """Least and greatest widths when every surface may be displaced.
 
     Args:
         scene: the scene with exact spheres.
         inner, outer: how far inside and outside its true place, in planet radii, each surface
             (ground, shell, occluders, shadows) may lie, both ≥ 0.
-
-    Returns:
-        `((lit_min, lit_max), (dark_min, dark_max))`, float64 [h, w], in scene length units; dark is
-        zero without a sun.
     """
+    size = (scene.camera.height, scene.camera.width)
+    radius = float(scene.planet.radius)
+    lit, dark = np.empty((2, *size)), np.zeros((2, *size))
+    back, silhouette = np.empty(size), np.empty(size, bool)
     with jax.enable_x64(True):
-        view = view_of(scene).astype(jnp.float64)
+        for band, view in bands(scene):
 
-        def widths(ground: float, shell: float, shadow: float) -> tuple[np.ndarray, np.ndarray]:
-            return _widths(_displaced(view, ground, shell, shadow), scene)
+            def met(
+                ground: float, shell: float, shadow: float, view: View = view, band: slice = band
+            ) -> _Met:
+                moved = _displaced(view, ground, shell, shadow)
+                return _meet(moved, band.stop - band.start, scene.camera.width)
 
-        lit_min, _ = widths(outer, -inner, outer)
-        lit_max, _ = widths(-inner, outer, -inner)
-        _, dark_min = widths(outer, -inner, -inner)
-        _, dark_max = widths(-inner, outer, outer)
-    return (lit_min, lit_max), (dark_min, dark_max)
+            brightest = met(-inner, outer, -inner)
+            dimmest = met(outer, -inner, outer)
+            least_dark, most_dark = met(outer, -inner, -inner), met(-inner, outer, outer)
+            lit[0, band], lit[1, band] = dimmest.lit * radius, brightest.lit * radius
+            dark[0, band], dark[1, band] = least_dark.dark * radius, most_dark.dark * radius
+            back[band] = np.maximum(brightest.back, most_dark.back) * radius
+            kinds = [m.kind for m in (brightest, dimmest, least_dark, most_dark)]
+            silhouette[band] = np.any([kind != kinds[0] for kind in kinds], axis=(0, 1))
+    return WidthRanges((lit[0], lit[1]), (dark[0], dark[1]), back, silhouette)
 
 
 def shadows_in_view(scene: Scene) -> tuple[bool, ...]:
@@ -78,9 +99,27 @@ def _displaced(view: View, ground: float, shell: float, shadow: float) -> View:
     return eqx.tree_at(radii, view, moved)
 
 
-def _widths(view: View, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    front, back, _, *shadow = trace_view(view, scene.camera.height, scene.camera.width)
+@dataclass(frozen=True)
+class _Met:
+    """What rays meet, in planet radii."""
+
+    lit: Float[np.ndarray, "h w"]
+    dark: Float[np.ndarray, "h w"]
+    back: Float[np.ndarray, "h w"]
+    kind: Bool[np.ndarray, "k h w"]
+    """Whether there is air, ground, and each shadow in the air."""
+
+
+def _meet(view: View, height: int, width: int) -> _Met:
+    front, back, planet, *shadow = trace_view(view, height, width)
     lit, dark = layer_widths(Layers(front, back, *(shadow or (None, None))))
-    radius = float(scene.planet.radius)
-    dark = jnp.zeros_like(lit) if dark is None else dark
-    return np.asarray(lit) * radius, np.asarray(dark) * radius
+    kind = [front != back, planet != 0]
+    if shadow:
+        begin, end = (np.clip(np.reshape(e, (-1, height, width)), front, back) for e in shadow)
+        kind += list(end > begin)
+    return _Met(
+        lit=np.asarray(lit),
+        dark=np.zeros_like(lit) if dark is None else np.asarray(dark),
+        back=np.asarray(back),
+        kind=np.stack([np.asarray(part) for part in kind]),
+    )

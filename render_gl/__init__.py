@@ -7,8 +7,10 @@ loaded when something is first drawn, so that files can be read and written with
 from ._check import Check as Check
 from ._check import check_scene as check_scene
 from ._context import renderer_name as renderer_name
-from ._draw import DEPTH_FORMATS as DEPTH_FORMATS
-from ._draw import DepthFormat as DepthFormat
+from ._depth_format import DEPTH_FORMATS as DEPTH_FORMATS
+from ._depth_format import Choice as Choice
+from ._depth_format import DepthFormat as DepthFormat
+from ._depth_format import choose_format as choose_format
 from ._exr import read_channels as read_channels
 from ._exr import write_channels as write_channels
 from ._files import write_whole as write_whole

@@ -1,34 +1,51 @@
-"""How exact are rasterised layers? Predicted from mesh, depth format and pixel grid, and measured.
+"""How exact are rasterised layers? Predicted from the geometry alone, and measured.
 
-Sources of width error of a scene whose planet is a sphere, all per surface:
+Sources of width error of a scene whose planet is a sphere:
 
     tessellation  the mesh lies up to `1 - inner_radius` planet (shell) radii inside its sphere
     pixel grid    vertices are snapped to 1/256 pixel (8 sub-pixel bits, the OpenGL minimum is 4 and
                   llvmpipe and all common GPUs have 8), which moves a silhouette by that much
     transform     float32 positions: 8 ulp of the shell's radius
-    depth format  window depths are rounded to 2⁻²⁴ and computed in float32 (4 ulp of 1): at eye
-                  depth z a step ε is ε z² (far - near) / (far near)
+    depth format  `depth_error`, for each of the depths that a width is made of
 
 The first three displace surfaces, and `width_ranges` tells what any such displacement can do to a
-width, near tangency included; the last adds to each of the two depths of a width.
+width, near tangency included. Where a displaced surface may or may not be met at all, a silhouette,
+its triangles stand edge-on: followed beyond its snapped edge, such a plane has any depth, and only
+the widest chord bounds the error. That is a line of pixels, told apart from all others.
 """
 
 from dataclasses import dataclass
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from model_jax import Layers, Planet, Scene, layer_widths, width_ranges
+from model_jax import Layers, Planet, Scene, WidthRanges, layer_widths, width_ranges
 
-from ._draw import DepthFormat
+from ._depth_format import EPS, DepthFormat, depth_error
 from ._mesh import sphere_mesh
 from ._render import render
 
 SUBPIXELS = 256
 TRANSFORM_ULP = 8
-WINDOW_ULP = 4
-EPS = float(np.finfo(np.float32).eps)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Bounds on the width errors of rasterised layers, in scene length units."""
+
+    bound: Float[np.ndarray, "2 h w"]
+    """Of lit and dark width."""
+    silhouette: Bool[np.ndarray, "h w"]
+    """Where only the widest chord bounds the error."""
+    chord: float
+    """The widest way through air in view."""
+
+    @property
+    def error(self) -> float:
+        """The largest bound off silhouettes, and no more than the widest chord."""
+        inside = self.bound[:, ~self.silhouette]
+        return min(float(np.max(inside, initial=0.0)), self.chord)
 
 
 @dataclass(frozen=True)
@@ -36,13 +53,20 @@ class Accuracy:
     """Width errors of rasterised layers against exact ones, in scene length units."""
 
     measured: Float[np.ndarray, "2 h w"]
-    """|raster - analytic| of lit and dark width; NaN where the pixel has no air in either."""
-    predicted: Float[np.ndarray, "2 h w"]
-    """The bound on it."""
-    outside: int
-    """Number of widths whose error exceeds the prediction."""
-    edges: int
-    """Number of pixels on a silhouette, where only the widest chord bounds the error."""
+    """|raster - analytic| of lit and dark width; NaN where the pixel has no air in either, infinite
+    where the rasterised one is no number."""
+    predicted: Prediction
+
+    @property
+    def outside(self) -> int:
+        """Number of widths whose error exceeds its bound."""
+        return int(np.sum(self.measured > self.predicted.bound))
+
+    @property
+    def largest(self) -> float:
+        """The largest error off silhouettes."""
+        inside = self.measured[:, ~self.predicted.silhouette]
+        return float(np.max(inside[np.isfinite(inside)], initial=0.0))
 
     @property
     def passed(self) -> bool:
@@ -51,22 +75,30 @@ class Accuracy:
     def summary(self) -> dict[str, object]:
         """Figures for `airlight check`, scene length units, as JSON data."""
         rows: dict[str, object] = {}
-        for name, measured, predicted in zip(
-            ("lit", "dark"), self.measured, self.predicted, strict=True
-        ):
-            known = measured[np.isfinite(measured)]
-            allowed = predicted[np.isfinite(measured)]
-            if known.size == 0:
-                known = allowed = np.zeros(1)
+        inside = ~self.predicted.silhouette
+        for k, name in enumerate(("lit", "dark")):
+            known = np.isfinite(self.measured[k]) & inside
+            errors, bounds = self.measured[k][known], self.predicted.bound[k][known]
+            if errors.size == 0:
+                errors = bounds = np.zeros(1)
             rows[name] = {
-                "max": float(np.max(known)),
-                "p99.9": float(np.percentile(known, 99.9)),
-                "median": float(np.median(known)),
-                "predicted_max": float(np.max(allowed)),
-                "predicted_median": float(np.median(allowed)),
+                "max": float(np.max(errors)),
+                "p99.9": float(np.percentile(errors, 99.9)),
+                "median": float(np.median(errors)),
+                "predicted_max": float(np.max(bounds)),
+                "predicted_median": float(np.median(bounds)),
             }
-        counts = {"outside": self.outside, "edges": self.edges}
-        return {"passed": self.passed, **counts, **rows}
+        edge = self.measured[:, self.predicted.silhouette]
+        return {
+            "passed": self.passed,
+            "outside": self.outside,
+            "largest": self.largest,
+            "predicted": self.predicted.error,
+            "silhouettes": int(np.sum(self.predicted.silhouette)),
+            "silhouette_max": float(np.max(edge[np.isfinite(edge)], initial=0.0)),
+            "widest_chord": self.predicted.chord,
+            **rows,
+        }
 
 
 def smooth(scene: Scene) -> Scene:
@@ -75,34 +107,42 @@ def smooth(scene: Scene) -> Scene:
     return eqx.tree_at(lambda s: s.planet, scene, planet)
 
 
+def predict_accuracy(scene: Scene, depth_format: DepthFormat) -> Prediction:
+    """Bounds for the scene's smooth sphere, before anything is drawn."""
+    bare = smooth(scene)
+    ranges, exact = width_ranges(bare, *displacement(bare)), width_ranges(bare, 0.0, 0.0)
+    return _prediction(bare, depth_format, ranges, exact)
+
+
 def measure_accuracy(scene: Scene, depth_format: DepthFormat) -> Accuracy:
     """Draw the scene's smooth sphere and hold its widths against exact ones."""
     bare = smooth(scene)
-    layers = render(bare, depth_format)
-    lit, dark = _widths(layers)
-    inner, outer = displacement(bare)
-    lit_range, dark_range = width_ranges(bare, inner, outer)
-    exact_lit, exact_dark = (r[0] for r in width_ranges(bare, 0.0, 0.0))
-    slack = 2 * depth_step(bare, layers, depth_format)
-    measured, predicted, outside = [], [], 0
-    # Where a displaced surface may or may not be met at all, its triangles stand edge-on: followed
-    # beyond its snapped edge, such a plane has any depth; only the widest chord bounds it there.
-    (lit_min, lit_max), (dark_min, dark_max) = lit_range, dark_range
-    edge = (lit_min + dark_min == 0) & (lit_max + dark_max > 0)
-    edge |= (dark_min == 0) & (dark_max > 0)
-    widest = float(np.max(lit_max + dark_max))
-    for width, (least, most), exact, sums in (
-        (lit, lit_range, exact_lit, 2),  # the lit width is the sum of two differences
-        (dark, dark_range, exact_dark, 1),
+    ranges, exact = width_ranges(bare, *displacement(bare)), width_ranges(bare, 0.0, 0.0)
+    measured = []
+    for width, (true, _) in zip(
+        _widths(render(bare, depth_format)), (exact.lit, exact.dark), strict=True
     ):
-        allowance = sums * slack
-        air = (width != 0) | (exact != 0)
-        measured.append(np.where(air, np.abs(width - exact), np.nan))
-        bound = np.where(edge, widest, np.maximum(most - exact, exact - least))
-        predicted.append(bound + allowance)
-        # Written so that a width that is not a number is outside.
-        outside += int(np.sum(air & ~(measured[-1] <= predicted[-1])))
-    return Accuracy(np.stack(measured), np.stack(predicted), outside, int(np.sum(edge)))
+        air = (width != 0) | (true != 0)
+        error = np.nan_to_num(np.abs(width - true), nan=np.inf)
+        measured.append(np.where(air, error, np.nan))
+    return Accuracy(np.stack(measured), _prediction(bare, depth_format, ranges, exact))
+
+
+def _prediction(
+    scene: Scene, depth_format: DepthFormat, ranges: WidthRanges, exact: WidthRanges
+) -> Prediction:
+    step = depth_error(scene, depth_format, ranges.back)
+    chord = float(np.max(ranges.lit[1] + ranges.dark[1], initial=0.0))
+    air = ranges.lit[1] + ranges.dark[1] > 0
+    bounds = []
+    for (least, most), (true, _), depths in (
+        (ranges.lit, exact.lit, 4),  # the lit width is the sum of two differences
+        (ranges.dark, exact.dark, 2),
+    ):
+        moved = np.maximum(most - true, true - least)
+        bound = np.where(ranges.silhouette, chord, moved) + depths * step
+        bounds.append(np.where(air, bound, 0.0))
+    return Prediction(np.stack(bounds), ranges.silhouette, chord)
 
 
 def displacement(scene: Scene) -> tuple[float, float]:
@@ -114,16 +154,6 @@ def displacement(scene: Scene) -> tuple[float, float]:
     rounding = footprint + TRANSFORM_ULP * EPS * shell
     deficit = (1 - sphere_mesh(scene.planet.triangles).inner_radius) * shell
     return deficit + rounding, rounding
-
-
-def depth_step(scene: Scene, layers: Layers, depth_format: DepthFormat) -> Float[np.ndarray, "h w"]:
-    """Error of one depth by its format, scene length units."""
-    near, far = float(scene.camera.near), float(scene.camera.far)
-    back = np.asarray(layers.back, dtype=np.float64)
-    if depth_format == "linear":
-        return TRANSFORM_ULP * EPS * np.abs(back)
-    step = (0.5 * 2.0**-24 + WINDOW_ULP * EPS / 2) * (far - near) / (far * near)
-    return step * back**2 + WINDOW_ULP * EPS * back
 
 
 def _widths(layers: Layers) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from model_jax import Look, Scene
 
 from ._accuracy import Accuracy, measure_accuracy
-from ._draw import DepthFormat, draw
+from ._depth_format import Choice, choose_format
+from ._draw import draw
 from ._parity import Parity, compare, measure_division
 
 
@@ -13,6 +14,8 @@ from ._parity import Parity, compare, measure_division
 class Check:
     """Both halves of the cross-check."""
 
+    choice: Choice
+    """The depth format, and why."""
     parity: Parity
     """GLSL combine against JAX combine on the same depths."""
     accuracy: Accuracy
@@ -26,19 +29,24 @@ class Check:
         """Figures of both, as JSON data."""
         return {
             "passed": self.passed,
+            "depth": self.choice.depth_format,
+            "depth_error": self.choice.error,
+            "depth_reason": self.choice.reason,
             "parity": self.parity.summary(),
             "accuracy": self.accuracy.summary(),
         }
 
 
-def check_scene(scene: Scene, look: Look, depth_format: DepthFormat = "window24") -> Check:
+def check_scene(scene: Scene, look: Look, depth_format: str = "auto") -> Check:
     """Render, recombine in JAX, compare; and compare the layers with exact intersection.
 
     Raises as `render`.
     """
-    frame = draw(scene, look, depth_format)
-    division = 0.0 if depth_format == "linear" else measure_division(scene)
+    choice = choose_format(scene, depth_format)
+    frame = draw(scene, look, choice.depth_format)
+    division = measure_division(scene, choice.depth_format)
     return Check(
-        parity=compare(scene, look, frame, depth_format, division),
-        accuracy=measure_accuracy(scene, depth_format),
+        choice=choice,
+        parity=compare(scene, look, frame, choice.depth_format, division),
+        accuracy=measure_accuracy(scene, choice.depth_format),
     )

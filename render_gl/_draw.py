@@ -6,15 +6,15 @@
     4 back faces of the shell of air   → PlAtDepth         depth texture, tested against the planet
     5 front faces of the shell         → air, and the depths that the shader saw
 
-Depth formats: "window24", the paper's 24-bit depth textures, and "linear", float32 eye depth
-relative to the planet's centre in a colour attachment. Passes 1 and 2 are drawn for the shadows in
-which there is air in view; occluders are drawn with the planet, which they may hide. The depths of
-all shadows share one texture, one above the other, so that there may be any number of them. What
+How depths are stored is the format's business (`_depth_format`). Passes 1 and 2 are drawn for the
+shadows in which there is air in view; occluders are drawn with the planet, which they may hide. The
+depths of all shadows share one texture, one above the other, so that there may be any number of
+them. What
 the combine shader read is written out by shaders, so that JAX recombines the very same numbers.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -22,24 +22,18 @@ from jaxtyping import Float
 from model_jax import DriverError, InputError, Look, Scene, shadows_in_view, view_of
 
 from ._context import gl_context
+from ._depth_format import STORAGE, DepthFormat, Storage
 from ._maps import load_albedo, load_relief
 from ._mesh import Mesh, cone_mesh, sphere_mesh
 from ._shaders import program
-from ._uniforms import defines_of, uniforms_of
+from ._uniforms import defines_of, plane_codes, uniforms_of
 
 if TYPE_CHECKING:
     import moderngl
 
-DepthFormat = Literal["window24", "linear"]
-DEPTH_FORMATS: tuple[DepthFormat, ...] = ("window24", "linear")
-
 DEPTH_CLAMP = 0x864F
 """GL_DEPTH_CLAMP: what lies nearer than the near plane gets its depth instead of a hole (the
 paper's extended pixel shader, its Fig. 11)."""
-
-MAX_WINDOW_RATIO = 1e7
-"""The linearisation's `a` is 1 + near/far: at this ratio that is less than one float32 step from 1,
-and far depths become arbitrary or infinite."""
 
 BAND = 2**20
 """Pixels drawn at once. Their textures are 80 bytes a pixel: rows of large pictures go in bands, so
@@ -70,21 +64,13 @@ class Frame:
 def draw(scene: Scene, look: Look, depth_format: DepthFormat) -> Frame:
     """Draw a scene.
 
-    Raises `DriverError` when there is no driver or it fails, `InputError` for an unknown format, a
-    picture, texture or number of shadows beyond the driver's limit, and unreadable maps.
+    Raises `DriverError` when there is no driver or it fails, `InputError` for a picture, texture or
+    number of shadows beyond the driver's limit, and unreadable maps.
     """
-    if depth_format not in DEPTH_FORMATS:
-        raise InputError(f"depth format {depth_format!r} is unknown; use one of {DEPTH_FORMATS}")
-    ratio = float(scene.camera.far / scene.camera.near)
-    if depth_format == "window24" and ratio >= MAX_WINDOW_RATIO:
-        raise InputError(
-            f"camera.far / camera.near: {ratio:.3g} is beyond what window depths can hold "
-            f"(below {MAX_WINDOW_RATIO:.0e}); bring the planes together or use linear depth"
-        )
     context = gl_context()
     _check_size(context, "camera", scene.camera.width, scene.camera.height)
     try:
-        frame = _Passes(context, scene, look, depth_format == "linear").run()
+        frame = _Passes(context, scene, look, STORAGE[depth_format]).run()
     finally:
         context.gc()  # so that a thousand renders need no more memory than one
     if (error := context.error) != "GL_NO_ERROR":
@@ -108,20 +94,28 @@ def assign_uniforms(shader: "moderngl.Program", values: dict[str, Any]) -> None:
 class _Passes:
     """The textures and the state of one drawing, and its passes in order."""
 
-    def __init__(self, context: "moderngl.Context", scene: Scene, look: Look, linear: bool) -> None:
+    def __init__(
+        self, context: "moderngl.Context", scene: Scene, look: Look, storage: Storage
+    ) -> None:
         self.context: Any = context  # its stub mistypes blend_equation
-        self.scene, self.linear = scene, linear
+        self.scene, self.storage = scene, storage
         self.size = (scene.camera.width, 0)
         """Of a band."""
         self.bottom = 0
         """Rows of the picture below it."""
         self.cones = _shadow_cones(scene)
-        self.uniforms = uniforms_of(scene, look, linear)
-        self.defines = defines_of(scene, linear, len(self.cones))
+        self.uniforms = uniforms_of(scene, look, storage.encoding)
+        self.near, self.empty = plane_codes(scene, storage.encoding)
+        self.defines = defines_of(scene, storage, len(self.cones))
         mesh = sphere_mesh(scene.planet.triangles)
         self.sphere, self.inner_radius = self._upload(mesh), mesh.inner_radius
         self.shell = float(1 + scene.atmosphere.height / scene.planet.radius)
         self.position = np.asarray(scene.camera.position) / float(scene.planet.radius)
+
+    @property
+    def colored(self) -> bool:
+        """Whether depths go to colour attachments instead of the depth buffer."""
+        return self.storage.texture is not None
 
     def run(self) -> Frame:
         """All passes, band by band, and what they left."""
@@ -171,14 +165,10 @@ class _Passes:
 
         A camera inside sees no front face; its shadow begins at the near plane.
         """
-        empty = self.uniforms["empty"]
-        near = (
-            self.uniforms["clip_planes"][0] * self.uniforms["length_unit"] if self.linear else 0.0
-        )
         width, rows = self.size
-        atlas = self._depth_texture(empty, rows * 2 * len(self.cones))
+        atlas = self._depth_texture(rows * 2 * len(self.cones))
         target = self._depth_only(atlas)
-        self._state("back", test=not self.linear)
+        self._state("back", test=not self.colored)
         for k, (mesh, inside) in enumerate(self.cones):
             cone = self._upload(mesh)
             for end, culled in ((0, "back"), (1, "front")):
@@ -188,7 +178,7 @@ class _Passes:
                 target.use()
                 self.context.cull_face = culled
                 if end == 0 and inside:
-                    self._clear(target, near)
+                    self._clear(target, self.near)
                     continue
                 self._volume(cone, "depth.frag")
         target.scissor = None
@@ -197,8 +187,8 @@ class _Passes:
     def planet(self, maps: dict[str, Any]) -> tuple[Any, Any]:
         """Pass 3: surface colour, and the depth texture that pass 4 goes on with."""
         surface = self.context.texture(self.size, 4, dtype="f4")
-        depth = self._depth_texture(self.uniforms["empty"])
-        if self.linear:
+        depth = self._depth_texture(self.size[1])
+        if self.colored:
             target = self._target([surface, depth], self.context.depth_renderbuffer(self.size))
             self.context.framebuffer([surface], target.depth_attachment).clear(depth=1.0)
         else:
@@ -223,10 +213,11 @@ class _Passes:
         import moderngl
 
         self._depth_only(depth).use()
-        self._state("front", test=not self.linear)
-        if self.linear:
+        self._state("front", test=not self.colored)
+        if self.colored:
             self.context.enable(moderngl.BLEND)
-            self.context.blend_equation = moderngl.MIN
+            is_reversed = self.storage.encoding == "reversed"
+            self.context.blend_equation = moderngl.MAX if is_reversed else moderngl.MIN
         self._volume(self.sphere, "depth.frag", self.shell)
         self.context.blend_equation = moderngl.FUNC_ADD
 
@@ -235,7 +226,7 @@ class _Passes:
         air = self.context.texture(self.size, 4, dtype="f4")
         depths = [self.context.texture(self.size, 1, dtype="f4") for _ in range(2)]
         self.context.framebuffer([air]).clear()
-        self.context.framebuffer(depths).clear(*[self.uniforms["empty"]] * 4)
+        self.context.framebuffer(depths).clear(*[self.empty] * 4)
         self._target([air, *depths]).use()
         units: dict[str, Any] = {"planet_atmosphere": 0, "band_rows": self.size[1]}
         self._bind(behind, 0)
@@ -252,7 +243,7 @@ class _Passes:
 
     def _seen(self, atlas: Any) -> Float[np.ndarray, "rows w"]:
         """What a shader reads in a depth texture, from below."""
-        if self.linear:
+        if self.storage.texture == "f4":
             return np.frombuffer(atlas.read(), np.float32).reshape(atlas.size[::-1])
         copied = self.context.texture(atlas.size, 1, dtype="f4")
         self.context.framebuffer([copied]).use()
@@ -261,27 +252,27 @@ class _Passes:
         self._screen("copy.frag", depths=0)
         return np.frombuffer(copied.read(), np.float32).reshape(atlas.size[::-1])
 
-    def _depth_texture(self, clear: float, rows: int | None = None) -> Any:
-        """A texture for depths, cleared: depth buffer, or float32 colour for linear depths."""
-        size = (self.size[0], self.size[1] if rows is None else rows)
-        if self.linear:
-            texture = self.context.texture(size, 1, dtype="f4")
+    def _depth_texture(self, rows: int) -> Any:
+        """A texture for depths, cleared."""
+        size = (self.size[0], rows)
+        if self.colored:
+            texture = self.context.texture(size, 1, dtype=self.storage.texture)
         else:
             texture = self.context.depth_texture(size)
-        self._clear(self._depth_only(texture), clear)
+        self._clear(self._depth_only(texture), self.empty)
         return texture
 
     def _clear(self, target: Any, depth: float) -> None:
         """All of a framebuffer of depths only, or its scissor."""
         box = target.scissor
-        if self.linear:
+        if self.colored:
             target.clear(depth, depth, depth, depth, viewport=box)
         else:
             target.clear(depth=depth, viewport=box)
 
     def _depth_only(self, texture: Any) -> Any:
         """A framebuffer without colour: one that a program leaves unwritten would be undefined."""
-        return self._target([texture]) if self.linear else self._target((), texture)
+        return self._target([texture]) if self.colored else self._target((), texture)
 
     def _target(self, colors: Any, depth: Any = None) -> Any:
         """A framebuffer whose rows are the picture's at this band."""
@@ -300,7 +291,7 @@ class _Passes:
     def _bind(self, texture: Any, unit: int) -> None:
         import moderngl
 
-        if not self.linear:
+        if not self.colored:
             texture.compare_func = ""  # depth textures compare by default; we want the values
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         texture.use(unit)

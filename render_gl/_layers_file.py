@@ -5,7 +5,7 @@
     surface.R/G/B   planet.A   R G B A               optional, as the layers have them
 
 Header: airlight.reference, airlight.width_unit, airlight.color, airlight.near, airlight.far,
-airlight.depth ("eye" or "window"), airlight.scene (JSON) and airlight.scene_hash.
+airlight.depth ("eye", "window" or "reversed"), airlight.scene (JSON) and airlight.scene_hash.
 
 Files of other renderers need `front.Z` and `back.Z` only: eye depths, or window depths with near
 and far in the header or given by the caller.
@@ -16,7 +16,7 @@ import re
 
 import numpy as np
 
-from model_jax import DepthTextures, InputError, Layers, Scene
+from model_jax import DepthTextures, Encoding, InputError, Layers, Scene
 from model_jax._shapes import Rgba
 
 from ._exr import read_channels, write_channels
@@ -62,12 +62,18 @@ def write_picture(path: PathLike, picture: Rgba, scene: Scene | None = None) -> 
     write_channels(path, picture_channels(picture), scene_attributes(scene) if scene else {})
 
 
-def read_layers(path: PathLike, near: float | None = None, far: float | None = None) -> Layers:
+def read_layers(
+    path: PathLike,
+    near: float | None = None,
+    far: float | None = None,
+    is_reversed: bool = False,
+) -> Layers:
     """Layers from an EXR file, this project's or another renderer's.
 
     Args:
         near, far: clip planes; given (or in the header of a file that says
             `airlight.depth = "window"`) the depths are window depths in [0, 1].
+        is_reversed: of such depths (or `airlight.depth = "reversed"`): the near plane is at 1.
 
     Raises `InputError` for unreadable files, missing channels and impossible clip planes.
     """
@@ -79,9 +85,12 @@ def read_layers(path: PathLike, near: float | None = None, far: float | None = N
                 "a layer file needs front.Z and back.Z"
             )
     begin, end = _shadows(path, channels)
-    window = near is not None or far is not None or header.get("airlight.depth") == "window"
+    said = header.get("airlight.depth")
+    window = is_reversed or near is not None or far is not None or said in ("window", "reversed")
     planes = (0.0, 1.0)  # unused by eye depths
+    encoding: Encoding = "linear"
     if window:
+        encoding = "reversed" if is_reversed or said == "reversed" else "window"
         planes = _clip_planes(path, header, near, far)
         _check_windows(path, channels)
     textures = DepthTextures(
@@ -91,16 +100,17 @@ def read_layers(path: PathLike, near: float | None = None, far: float | None = N
         shadow_back=end,
         near=planes[0],
         far=planes[1],
-        linear=not window,
+        encoding=encoding,
         reference=_number(path, header, "airlight.reference", 0.0),
     )
-    swapped = np.sum(textures.front > textures.back)
-    if swapped > np.sum(textures.front < textures.back):
-        raise InputError(
-            f"{path}: front.Z lies behind back.Z in {int(swapped):,} pixels; "
-            "swap the two channels, or the sign of the depths"
-        )
     linear = textures.linearize()
+    swapped = np.sum(linear.front > linear.back)
+    if swapped > np.sum(linear.front < linear.back):
+        raise InputError(
+            f"{path}: front.Z lies behind back.Z in {int(swapped):,} pixels; swap the two "
+            "channels, or "
+            + ("say whether the depths are reversed" if window else "the sign of the depths")
+        )
     rgb = [f"surface.{c}" for c in "RGB"]
     surface = np.stack([channels[c] for c in rgb], axis=-1) if set(rgb) <= set(channels) else None
     color = header.get("airlight.color", (1.0, 1.0, 1.0))

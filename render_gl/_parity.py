@@ -26,7 +26,8 @@ from jaxtyping import Float
 from model_jax import DriverError, Look, Scene, combine, depth_constants
 
 from ._context import gl_context
-from ._draw import DepthFormat, Frame, assign_uniforms
+from ._depth_format import STORAGE, DepthFormat
+from ._draw import Frame, assign_uniforms
 from ._render import frame_layers
 from ._shaders import program
 
@@ -101,7 +102,8 @@ def compare(
     # |lit| + shadow |dark| bounds every intermediate of the colour arithmetic.
     further = max(len(frame.shadows) - 1, 0)
     bound = (ROUNDINGS + 4 * further) * EPS * np.abs(picture[..., :3].astype(np.float64))
-    if depth_format != "linear" and division_ulp > 0:
+    linear = STORAGE[depth_format].encoding == "linear"
+    if not linear and division_ulp > 0:
         front, back = np.asarray(layers.front), np.asarray(layers.back)
         ulps = (np.spacing(np.abs(front)) + np.spacing(np.abs(back))).astype(np.float64)
         spread = ulps[..., None] * np.ones(3)
@@ -119,14 +121,18 @@ def compare(
         glsl=frame.air,
         jax=picture,
         bound=np.concatenate([bound + tiny, alpha], axis=-1),
-        division_ulp=division_ulp if depth_format != "linear" else 0.0,
+        division_ulp=0.0 if linear else division_ulp,
     )
 
 
-def measure_division(scene: Scene) -> float:
+def measure_division(scene: Scene, depth_format: DepthFormat) -> float:
     """Error in ulp to allow for this driver's division in `linearize_depth` (see the module)."""
+    encoding = STORAGE[depth_format].encoding
+    if encoding == "linear":
+        return 0.0
     near, far = float(scene.camera.near), float(scene.camera.far)
-    a, b = (np.float32(number) for number in depth_constants(near, far))
+    constants = depth_constants(near, far, encoding == "reversed")
+    a, b = (np.float32(number) for number in constants)
     windows = np.random.default_rng(20260101).random((PROBES, PROBES), dtype=np.float32)
     context = gl_context()
     source = context.texture((PROBES, PROBES), 1, windows.tobytes(), dtype="f4")

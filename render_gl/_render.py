@@ -5,16 +5,17 @@ import numpy as np
 from model_jax import DepthTextures, Layers, Look, Scene, eye_center
 from model_jax._shapes import Rgba
 
-from ._draw import DepthFormat, Frame, draw
+from ._depth_format import STORAGE, DepthFormat, choose_format
+from ._draw import Frame, draw
 
 
-def render(scene: Scene, depth_format: DepthFormat = "window24") -> Layers:
+def render(scene: Scene, depth_format: str = "auto") -> Layers:
     """Depth layers of a scene by the paper's five passes.
 
     Args:
         scene: what is looked at.
-        depth_format: "window24" (the paper's 24-bit depth textures) or "linear" (float32 eye depth
-            relative to the planet's centre: for far cameras and thin shells).
+        depth_format: how depths are stored; "auto" takes the cheapest format that is exact to a
+            thousandth of the shell's height (`choose_format` tells which and why).
 
     Returns:
         float32 layers [h, w] with the planet's mask, and `surface` when the planet has an albedo;
@@ -23,16 +24,17 @@ def render(scene: Scene, depth_format: DepthFormat = "window24") -> Layers:
     Raises:
         DriverError: no usable OpenGL. InputError: what cannot be drawn, by name.
     """
+    depth_format = choose_format(scene, depth_format).depth_format
     return frame_layers(scene, draw(scene, Look(), depth_format), depth_format)
 
 
-def render_image(scene: Scene, look: Look, depth_format: DepthFormat = "window24") -> Rgba:
+def render_image(scene: Scene, look: Look, depth_format: str = "auto") -> Rgba:
     """The picture by OpenGL: surface + air + background, linear light [h, w, 4] float32.
 
     The air is the combine shader's own output; adding the rest is the frame buffer's part. Alpha is
     1 in front of the planet, the air's where there is air, else 0. Raises as `render`.
     """
-    frame = draw(scene, look, depth_format)
+    frame = draw(scene, look, choose_format(scene, depth_format).depth_format)
     rgb = frame.air[..., :3] + np.asarray(look.background, np.float32)
     if frame.surface is not None:
         rgb += frame.surface
@@ -53,7 +55,7 @@ def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layer
         shadow_back=(end[0] if one else end) if some else None,
         near=camera.near,
         far=camera.far,
-        linear=depth_format == "linear",
+        encoding=STORAGE[depth_format].encoding,
         reference=eye_center(scene)[2],
     )
     layers = textures.linearize()

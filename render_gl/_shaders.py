@@ -16,7 +16,9 @@ from ._context import gl_context
 if TYPE_CHECKING:
     import moderngl
 
-DEFINES = frozenset({"ALBEDO", "LINEAR", "OCCLUDERS", "RELIEF", "SHADOWS", "SUN"})
+DEFINES = frozenset(
+    {"ALBEDO", "COLOR_DEPTH", "LINEAR", "OCCLUDERS", "RELIEF", "REVERSED", "SHADOWS", "SUN"}
+)
 """Every switch a shader may ask for."""
 
 NONE: Mapping[str, int] = MappingProxyType({})

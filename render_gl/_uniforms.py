@@ -4,10 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from model_jax import Look, Scene, Sun, depth_constants
+from model_jax import Encoding, Look, Scene, Sun, depth_constants, eye_center
+
+from ._depth_format import Storage
 
 
-def uniforms_of(scene: Scene, look: Look, linear: bool) -> dict[str, Any]:
+def uniforms_of(scene: Scene, look: Look, encoding: Encoding) -> dict[str, Any]:
     """Every number the shaders take, by uniform name; lengths in planet radii but for layers."""
     camera, radius = scene.camera, float(scene.planet.radius)
     near, far = float(camera.near), float(camera.far)
@@ -22,9 +24,9 @@ def uniforms_of(scene: Scene, look: Look, linear: bool) -> dict[str, Any]:
         "clip_factors": (far / (far - near), near / (far - near)),
         "focal": (focal_y * camera.height / camera.width, focal_y),
         "length_unit": radius,
-        # The clear value of the depth textures: the far plane, where nothing is drawn.
-        "empty": far - center[2] * radius if linear else 1.0,
-        "depth_constants": depth_constants(near, far),
+        "eye_reference": (center[2], near / radius),
+        "reversed_factor": near / (far - near),
+        "depth_constants": depth_constants(near, far, encoding == "reversed"),
         "width_unit": far - near,
         "brightness": float(look.brightness),
         "shadow": tuple(np.broadcast_to(look.shadow, 3)),
@@ -41,10 +43,20 @@ def _tangent(sun: Sun) -> float:
     return float(np.tan(np.deg2rad(sun.angular_radius_deg)))
 
 
-def defines_of(scene: Scene, linear: bool, shadows: int) -> dict[str, int]:
+def plane_codes(scene: Scene, encoding: Encoding) -> tuple[float, float]:
+    """What depth textures hold of the near and the far plane; the latter where nothing is drawn."""
+    if encoding == "linear":
+        reference = eye_center(scene)[2]
+        return float(scene.camera.near - reference), float(scene.camera.far - reference)
+    return (1.0, 0.0) if encoding == "reversed" else (0.0, 1.0)
+
+
+def defines_of(scene: Scene, storage: Storage, shadows: int) -> dict[str, int]:
     """The shader switches of a scene: what it does not have, or show, is not compiled."""
     wanted = {
-        "LINEAR": linear,
+        "COLOR_DEPTH": storage.texture is not None,
+        "LINEAR": storage.encoding == "linear",
+        "REVERSED": storage.encoding == "reversed",
         "SHADOWS": shadows,
         "SUN": scene.sun is not None,
         "OCCLUDERS": len(scene.occluders),

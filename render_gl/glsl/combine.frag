@@ -2,15 +2,13 @@
 // Pass 5: reads the depths of its pixel, hands on its own and the one behind, and combines them.
 
 #include "combine.glsl"
+#include "depth_code.glsl"
 
-uniform float length_unit;
-uniform vec2 clip_planes;
 uniform sampler2D planet_atmosphere;  // PlAtDepth of the paper
 #ifdef SHADOWS
 uniform sampler2D shadow_depths;      // front and back of each shadow, one above the other
 uniform int band_rows;
 #endif
-in float relative_depth;
 
 layout(location = 0) out vec4 air;
 layout(location = 1) out float front;
@@ -18,14 +16,10 @@ layout(location = 2) out float back;
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
-#ifdef LINEAR
-    front = clamp(relative_depth, clip_planes.x, clip_planes.y) * length_unit;
-#else
-    front = clamp(gl_FragCoord.z, 0.0, 1.0);
-#endif
+    front = coded_depth();
     back = texelFetch(planet_atmosphere, pixel, 0).r;
     // Ground that rises out of the air, or a body before it, hides it.
-    if (front >= back) discard;
+    if (!is_nearer(front, back)) discard;
     float depths[DEPTHS];
     depths[0] = front;
     depths[1] = back;

@@ -1,6 +1,7 @@
 // The combine step of the paper (section 4, "Pixel Shader code"): four depths -> widths -> colour.
 // Twins: linearize_depth, layer_widths and combine in model_jax. Defines: LINEAR when the depths are
-// eye depths already, SHADOWS = how many shadow volumes there are, absent for none.
+// eye depths already, REVERSED when nearer is more, SHADOWS = how many shadow volumes there are,
+// absent for none.
 
 uniform vec2 depth_constants;  // a, b of the depth linearisation; unused when LINEAR
 uniform float width_unit;      // far - near, scene length units
@@ -21,6 +22,16 @@ float eye_depth(float value) {
 #endif
 }
 
+#ifdef REVERSED
+#define NEARER max
+#define FARTHER min
+bool is_nearer(float one, float other) { return one > other; }
+#else
+#define NEARER min
+#define FARTHER max
+bool is_nearer(float one, float other) { return one < other; }
+#endif
+
 #ifdef SHADOWS
 #define DEPTHS (2 + 2 * SHADOWS)
 #else
@@ -34,8 +45,8 @@ vec2 layer_widths(float depths[DEPTHS]) {
 #ifndef SHADOWS
     vec2 widths = vec2(back - front, 0.0);
 #elif SHADOWS == 1
-    float shadow_front = eye_depth(min(max(depths[2], depths[0]), depths[1]));
-    float shadow_back = eye_depth(min(max(depths[3], depths[0]), depths[1]));
+    float shadow_front = eye_depth(NEARER(FARTHER(depths[2], depths[0]), depths[1]));
+    float shadow_back = eye_depth(NEARER(FARTHER(depths[3], depths[0]), depths[1]));
     vec2 widths = vec2((back - shadow_back) + (shadow_front - front), shadow_back - shadow_front);
 #else
     // In the order of their fronts, each shadow adds what lies beyond all that ended before.
@@ -43,7 +54,8 @@ vec2 layer_widths(float depths[DEPTHS]) {
     for (int k = 0; k < SHADOWS; k++) {
         vec2 here;
         for (int end = 0; end < 2; end++)
-            here[end] = eye_depth(min(max(depths[2 + 2 * k + end], depths[0]), depths[1]));
+            here[end] =
+                eye_depth(NEARER(FARTHER(depths[2 + 2 * k + end], depths[0]), depths[1]));
         int at = k;
         for (; at > 0 && shadows[at - 1].x > here.x; at--) shadows[at] = shadows[at - 1];
         shadows[at] = here;

@@ -1,16 +1,14 @@
 #version 330
-// Passes 1, 2 and 4. Window formats: the depth buffer is the result and nothing is written here.
-// LINEAR: eye depth relative to the planet's centre, in scene length units.
+// Passes 1, 2 and 4. COLOR_DEPTH: depths go to a colour attachment; else the depth buffer is the
+// result and nothing is written here.
 
-uniform float length_unit;  // planet radius
-uniform vec2 clip_planes;
-in float relative_depth;
+#ifdef COLOR_DEPTH
+#include "depth_code.glsl"
 
-#ifdef LINEAR
 out float depth;
 
 void main() {
-    depth = clamp(relative_depth, clip_planes.x, clip_planes.y) * length_unit;
+    depth = coded_depth();
 }
 #else
 void main() {}

@@ -1,16 +1,14 @@
 #version 330
-// Pass 3: Lambert-lit albedo, and coverage 1 in alpha. LINEAR adds the depth; ALBEDO, RELIEF and
-// SUN say what the scene has, OCCLUDERS how many. Without a sun the albedo is shown as it is.
+// Pass 3: Lambert-lit albedo, and coverage 1 in alpha. COLOR_DEPTH adds the depth; ALBEDO, RELIEF
+// and SUN say what the scene has, OCCLUDERS how many. Without a sun the albedo is shown as it is.
 
 #include "sphere_map.glsl"
 
-uniform float length_unit;
-uniform vec2 clip_planes;
-in float relative_depth;
 in vec3 direction;
 
 layout(location = 0) out vec4 surface;
-#ifdef LINEAR
+#ifdef COLOR_DEPTH
+#include "depth_code.glsl"
 layout(location = 1) out float depth;
 #endif
 
@@ -83,7 +81,7 @@ void main() {
 #endif
 #endif
     surface = vec4(light, 1.0);
-#ifdef LINEAR
-    depth = clamp(relative_depth, clip_planes.x, clip_planes.y) * length_unit;
+#ifdef COLOR_DEPTH
+    depth = coded_depth();
 #endif
 }

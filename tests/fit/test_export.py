@@ -114,7 +114,7 @@ def drawn(case: Scene, lines: str, look: Look, depth_format: str, monkeypatch: A
         return text
 
     wrong = Look(brightness=123.0, shadow=0.77, tint=[2.0, 0.5, 0.5], background=9.0)
-    division = 0.0 if depth_format == "linear" else measure_division(case)
+    division = measure_division(case, depth_format)
     with monkeypatch.context() as patched:
         patched.setattr(_shaders, "_read", read)
         frame = draw(case, wrong, depth_format)

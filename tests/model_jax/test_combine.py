@@ -67,7 +67,7 @@ def test_clamping_commutes_with_linearising_bit_for_bit(
     front, back = np.sort(rng.random((2, 40, 50)), axis=0).astype(dtype)
     shadow_front, shadow_back = np.sort(rng.random((2, 40, 50)), axis=0).astype(dtype)
     shadow_back[0], shadow_front[1] = front[0], back[1]
-    textures = DepthTextures(front, back, shadow_front, shadow_back, near, far, linear=False)
+    textures = DepthTextures(front, back, shadow_front, shadow_back, near, far, encoding="window")
     lit, dark = layer_widths(textures.linearize())
     shb = linearize_depth(np.minimum(np.maximum(shadow_back, front), back), near, far)
     shf = linearize_depth(np.minimum(np.maximum(shadow_front, front), back), near, far)

@@ -47,6 +47,21 @@ def test_inverts_the_projection(near: float, far: float, dtype: np.dtype) -> Non
     assert np.all(np.diff(got) >= 0), "not monotone"
 
 
+@pytest.mark.parametrize("ratio", [2.0, 1e4, 1e9, 1e15])
+def test_reversed_depth_keeps_its_digits(ratio: float, dtype: np.dtype) -> None:
+    """Reversed window depth falls as 1/z: its float is relative to what z is, at any far / near.
+
+    Window, both constants, the sum, the quotient: half an ulp each, relative; and the sum of two
+    terms of one sign cancels nothing.
+    """
+    near, far = 0.5, 0.5 * ratio
+    z = np.geomspace(near, far, 401)
+    window = (near * (far - z) / (z * (far - near))).astype(dtype)
+    got = np.asarray(linearize_depth(window, near, far, is_reversed=True), np.float64)
+    np.testing.assert_allclose(got, z, rtol=3 * np.finfo(dtype).eps)
+    assert np.all(np.diff(got) >= 0), "not monotone"
+
+
 def test_float32_against_float64_of_the_same_textures() -> None:
     """The same window values in both: the constant `a` rounds (half an ulp of 1), so does the
     difference, and the quotient."""
@@ -70,15 +85,15 @@ def test_traced_planes_give_the_same_depth(dtype: np.dtype) -> None:
     )
 
 
-def textures(dtype: np.dtype, linear: bool, shadow: bool = True) -> DepthTextures:
+def textures(dtype: np.dtype, encoding: str, shadow: bool = True) -> DepthTextures:
     window = np.linspace(0.1, 0.8, 12).reshape(3, 4).astype(dtype)
     later = window + np.asarray(0.05, dtype)
     pair = (window + np.asarray(0.01, dtype), later) if shadow else (None, None)
-    return DepthTextures(window, later, *pair, 0.5, 8.0, linear, 2.0)
+    return DepthTextures(window, later, *pair, 0.5, 8.0, encoding, 2.0)
 
 
 def test_textures_become_layers(dtype: np.dtype) -> None:
-    depth = textures(dtype, linear=False)
+    depth = textures(dtype, "window")
     layers = depth.linearize()
     assert isinstance(layers, Layers)
     np.testing.assert_array_equal(layers.front, linearize_depth(depth.front, 0.5, 8.0))
@@ -87,15 +102,15 @@ def test_textures_become_layers(dtype: np.dtype) -> None:
 
 
 def test_linear_textures_pass_through_with_their_reference(dtype: np.dtype) -> None:
-    depth = textures(dtype, linear=True)
+    depth = textures(dtype, "linear")
     layers = depth.linearize()
     np.testing.assert_array_equal(layers.back, depth.back)
     assert (layers.reference, layers.width_unit) == (2.0, 7.5)
 
 
-@pytest.mark.parametrize("linear", [False, True], ids=["window", "linear"])
-def test_absent_shadow_stays_absent(linear: bool) -> None:
-    layers = textures(np.dtype("float32"), linear, shadow=False).linearize()
+@pytest.mark.parametrize("encoding", ["window", "reversed", "linear"])
+def test_absent_shadow_stays_absent(encoding: str) -> None:
+    layers = textures(np.dtype("float32"), encoding, shadow=False).linearize()
     assert layers.shadow_front is None
     assert layers.shadow_back is None
     assert not layers.has_shadow

@@ -66,7 +66,9 @@ def through_windows(name: str, far: float) -> Function:
     textures = {key: far / (far - 1) * (1 - 1 / z) for key, z in depths().items()}
 
     def picture(window: jax.Array) -> jax.Array:
-        replaced = DepthTextures(**(textures | {name: window}), near=1.0, far=far, linear=False)
+        replaced = DepthTextures(
+            **(textures | {name: window}), near=1.0, far=far, encoding="window"
+        )
         return combine(replaced.linearize(), Look())[..., :3] * far
 
     return picture

@@ -77,7 +77,7 @@ SCENES = {f"sun {octant}": scene(sun=octant) for octant in OCTANTS} | {
 
 def checked(case: Scene, look: Look, depth_format: str) -> Parity:
     frame = draw(case, look, depth_format)
-    division = 0.0 if depth_format == "linear" else measure_division(case)
+    division = measure_division(case, depth_format)
     return compare(case, look, frame, depth_format, division)
 
 
@@ -133,12 +133,14 @@ def with_frame(change, depth_format: str = "window24") -> Parity:
     frame = draw(FAULTY, Look(), depth_format)
     front, back, *ends = change(np.stack([frame.front, frame.back, *frame.shadows[0]]))
     broken = dataclasses.replace(frame, front=front, back=back, shadows=np.stack(ends)[None])
-    return compare(FAULTY, Look(), broken, depth_format, measure_division(FAULTY))
+    return compare(FAULTY, Look(), broken, depth_format, measure_division(FAULTY, "window24"))
 
 
 def test_fault_shadow_weight_off_by_a_thousandth_is_found() -> None:
     frame = draw(FAULTY, Look(), "window24")
-    parity = compare(FAULTY, Look(shadow=0.201), frame, "window24", measure_division(FAULTY))
+    parity = compare(
+        FAULTY, Look(shadow=0.201), frame, "window24", measure_division(FAULTY, "window24")
+    )
     assert not parity.passed
 
 
@@ -162,27 +164,24 @@ def test_fault_near_and_far_swapped_is_found() -> None:
 
 
 @pytest.mark.parametrize(
-    ("clamp", "without", "case"),
+    ("end", "left", "case"),
     [
-        (
-            "min(max(depths[3], depths[0]), depths[1])",
-            "min(depths[3], depths[1])",
-            CROSSED,
-        ),
-        ("min(max(depths[3], depths[0]), depths[1])", "max(depths[3], depths[0])", FAULTY),
-        ("min(max(depths[2], depths[0]), depths[1])", "min(depths[2], depths[1])", CROSSED),
-        ("min(max(depths[2], depths[0]), depths[1])", "max(depths[2], depths[0])", FAULTY),
+        (3, "NEARER(depths[3], depths[1])", CROSSED),
+        (3, "FARTHER(depths[3], depths[0])", FAULTY),
+        (2, "NEARER(depths[2], depths[1])", CROSSED),
+        (2, "FARTHER(depths[2], depths[0])", FAULTY),
     ],
     ids=["back against front", "back against back", "front against front", "front against back"],
 )
-def test_fault_missing_clamp_in_the_shader_is_found(clamp, without, case, monkeypatch) -> None:
+def test_fault_missing_clamp_in_the_shader_is_found(end, left, case, monkeypatch) -> None:
+    clamp = f"NEARER(FARTHER(depths[{end}], depths[0]), depths[1])"
     original = _shaders._read
 
     def faulty(name: str) -> str:
         text = original(name)
         if name == "combine.glsl":
             assert clamp in text
-            text = text.replace(clamp, without)
+            text = text.replace(clamp, left)
         return text
 
     monkeypatch.setattr(_shaders, "_read", faulty)

@@ -121,8 +121,8 @@ def test_relief_and_albedo_are_drawn(data_dir: Path) -> None:
 
 def test_window_depths_are_refused_where_they_hold_nothing() -> None:
     case = eqx.tree_at(lambda s: s.camera.near, scene(), 1e-3)
-    with pytest.raises(InputError, match="linear depth"):
-        render_gl.render(case)
+    with pytest.raises(InputError, match=r"window24.*use linear"):
+        render_gl.render(case, "window24")
     assert np.all(np.isfinite(render_gl.render(case, "linear").back))
 
 
@@ -235,6 +235,15 @@ def test_window_depths_of_another_renderer(tmp_path: Path) -> None:
     # Float32 window depth near 1 has steps of 2^-24: a step of ε z² (far - near)/(far near) in z.
     step = 2**-23 * far * far * (far - near) / (far * near)
     np.testing.assert_allclose(layers.back, back, atol=2 * step)
+    turned = {
+        f"{name}.Z": 1 - np.minimum(window(z), 1) for name, z in (("front", depth), ("back", back))
+    }
+    render_gl.write_channels(tmp_path / "reversed.exr", turned, {})
+    layers = render_gl.read_layers(tmp_path / "reversed.exr", near, far, is_reversed=True)
+    # Relative to the eye depth: code, constants, sum and quotient.
+    np.testing.assert_allclose(layers.back, back, rtol=3 * 2**-23)
+    with pytest.raises(InputError, match="say whether the depths are reversed"):
+        render_gl.read_layers(tmp_path / "reversed.exr", near, far)
     with pytest.raises(InputError, match="clip planes"):
         render_gl.read_layers(path, near=5.0)
     other = tmp_path / "eye.exr"
@@ -250,7 +259,7 @@ def test_missing_channels_are_named(tmp_path: Path) -> None:
         render_gl.read_layers(path)
 
 
-@pytest.mark.parametrize("depth_format", ["window24", "linear"])
+@pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
 def test_large_pictures_are_drawn_in_bands(monkeypatch, depth_format) -> None:
     """The same picture, up to how a driver rounds triangles that it clips at a band's border.
 

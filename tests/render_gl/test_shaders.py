@@ -17,6 +17,8 @@ FILES = sorted(
 EXEMPT = {
     "main": "entry point",
     "eye_depth": "chooses between the depth formats; DepthTextures.linearize does that in JAX",
+    "is_nearer": "which way window depths run; JAX compares eye depths",
+    "coded_depth": "what a rasteriser stores; `linearize_depth` is its inverse",
     "eye_position": "vertex stage; checked against exact intersection",
     "clip_position": "vertex stage; checked against exact intersection",
     "map_position": "texture look-up of the surface, which JAX takes as a layer",
@@ -73,5 +75,9 @@ def test_missing_file_is_refused() -> None:
 
 def test_defines_follow_the_version_line() -> None:
     text = shader_source("combine.frag", dict.fromkeys(DEFINES, 2))
-    assert text.splitlines()[:3] == ["#version 330", "#define LINEAR 2", "#define SHADOWS 2"]
+    assert text.splitlines()[:3] == [
+        "#version 330",
+        "#define LINEAR 2",
+        "#define REVERSED 2",
+    ]
     assert "#include" not in text

@@ -1,0 +1,23 @@
+// What a depth texture holds of a fragment. LINEAR: eye depth relative to the planet's centre, in
+// scene length units. REVERSED: near (far - z) / (z (far - near)), 1 at the near plane and 0 at the
+// far one. Neither: window depth, as the depth buffer has it.
+
+uniform float length_unit;     // planet radius
+uniform vec2 clip_planes;      // near and far relative to the planet's centre, planet radii
+uniform vec2 eye_reference;    // eye depth of the planet's centre and of the near plane, radii
+uniform float reversed_factor; // near / (far - near)
+in float relative_depth;
+
+float coded_depth() {
+    float depth = clamp(relative_depth, clip_planes.x, clip_planes.y);
+#ifdef LINEAR
+    return depth * length_unit;
+#else
+#ifdef REVERSED
+    float eye_depth = max(depth + eye_reference.x, eye_reference.y);
+    return min(reversed_factor * (clip_planes.y - depth) / eye_depth, 1.0);
+#else
+    return clamp(gl_FragCoord.z, 0.0, 1.0);
+#endif
+#endif
+}
