@@ -327,7 +327,8 @@ def _widths(
             chosen = index[start:end]
             front, back = part(layers.front, chosen), part(layers.back, chosen)
             begin, until = [part(s, chosen) for s in shadows] or (None, None)
-            piece = Layers(front, back, begin, until, width_unit=unit)
+            stretch = None if layers.stretch is None else part(layers.stretch, chosen)
+            piece = Layers(front, back, begin, until, width_unit=unit, stretch=stretch)
             lit_piece, dark_piece = _jit_widths(piece)
             lit[start:end] = np.asarray(lit_piece)[0, : end - start]
             if dark is not None:
@@ -341,6 +342,8 @@ def _width_error(layers: Layers, pixels: Pixels, unit: float) -> float:
         return 0.0
     front, back = np.asarray(layers.front), np.asarray(layers.back)
     depth = max(float(np.abs(front[pixels.used]).max()), float(np.abs(back[pixels.used]).max()))
+    if layers.stretch is not None:
+        depth *= float(np.asarray(layers.stretch)[pixels.used].max())
     return 2.0 * float(np.finfo(front.dtype).eps) * depth / unit
 
 
@@ -353,4 +356,6 @@ def _finite(layers: Layers) -> Bool[np.ndarray, "h w"]:
             finite &= ~unknown.reshape(-1, *finite.shape).any(axis=0)
     if layers.surface is not None:
         finite &= np.isfinite(np.asarray(layers.surface)).all(axis=-1)
+    if layers.stretch is not None:
+        finite &= np.isfinite(np.asarray(layers.stretch))
     return finite

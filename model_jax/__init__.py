@@ -8,6 +8,7 @@ The ground floor of airlight: it knows no files, no OpenGL, no photos and no sol
 
 from ._analytic import analytic_layers as analytic_layers
 from ._analytic import limb_height as limb_height
+from ._analytic import ray_stretch as ray_stretch
 from ._combine import air_light as air_light
 from ._combine import combine as combine
 from ._combine import composite as composite

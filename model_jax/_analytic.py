@@ -61,7 +61,19 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
         color=scene.atmosphere.color,
         reference=eye_center(scene)[2],
         width_unit=camera.far - camera.near,
+        stretch=_traced_stretch(scene, dtype) if scene.atmosphere.path == "distance" else None,
     )
+
+
+def ray_stretch(scene: Scene) -> Float[np.ndarray, "h w"]:
+    """Length along each pixel's ray for a unit of eye depth, `|(x, y, 1)|`; float64."""
+    with jax.enable_x64(True):
+        return np.asarray(_traced_stretch(scene, jnp.float64))
+
+
+def _traced_stretch(scene: Scene, dtype: DTypeLike) -> Float[jax.Array, "h w"]:
+    x, y = pixel_slopes(view_of(scene).astype(dtype), scene.camera.height, scene.camera.width)
+    return jnp.sqrt(1 + x * x + y * y)
 
 
 @partial(jax.jit, static_argnums=(1, 2))

@@ -24,23 +24,32 @@ def layer_widths(layers: Layers) -> tuple[Width, Width | None]:
 
     Returns:
         `(lit, dark)`; `dark` is `None` when the layers have no shadow. Both are along the camera's
-        axis (eye depth), as in the paper. `lit + dark` is the width of the air; rounding can make
-        either negative by an ulp of the depths. What several shadows cover counts once.
+        axis (eye depth), as in the paper, unless the layers bring a `stretch`. `lit + dark` is the
+        width of the air; rounding can make either negative by an ulp of the depths. What several
+        shadows cover counts once.
 
     Twin: `layer_widths` in `combine.glsl`.
     """
-    front, back = jnp.asarray(layers.front), jnp.asarray(layers.back)
+    front = jnp.asarray(layers.front)
     unit = jnp.asarray(layers.width_unit, front.dtype)
+    lit, dark = _depth_widths(layers)
+    if layers.stretch is not None:
+        stretch = jnp.asarray(layers.stretch, front.dtype)
+        lit, dark = lit * stretch, None if dark is None else dark * stretch
+    return lit / unit, None if dark is None else dark / unit
+
+
+def _depth_widths(layers: Layers) -> tuple[Width, Width | None]:
+    """Widths along the camera's axis, scene length units."""
+    front, back = jnp.asarray(layers.front), jnp.asarray(layers.back)
     if layers.shadow_front is None or layers.shadow_back is None:
-        return (back - front) / unit, None
+        return back - front, None
     if np.ndim(layers.shadow_front) > back.ndim:
-        lit, dark = _union_widths(front, back, layers.shadow_front, layers.shadow_back)
-        return lit / unit, dark / unit
+        return _union_widths(front, back, layers.shadow_front, layers.shadow_back)
     shadow_back = jnp.minimum(jnp.maximum(layers.shadow_back, front), back)
     shadow_front = jnp.minimum(jnp.maximum(layers.shadow_front, front), back)
     lit = (back - shadow_back) + (shadow_front - front)
-    dark = shadow_back - shadow_front
-    return lit / unit, dark / unit
+    return lit, shadow_back - shadow_front
 
 
 def _union_widths(

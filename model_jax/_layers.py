@@ -55,6 +55,9 @@ class Layers(eqx.Module):
     """Eye depth that the depths are relative to; float64 on the host."""
     width_unit: Scalar = 1.0
     """Length that widths are divided by: far − near, as in the paper."""
+    stretch: Float[AnyArray, "h w"] | None = None
+    """Length along the ray for each unit of eye depth, at least 1, where widths are lengths along
+    rays; `None` where they are eye depths, as in the paper."""
 
     def __check_init__(self) -> None:
         if np.shape(self.color) != (4,):
@@ -88,6 +91,7 @@ class Layers(eqx.Module):
             self.color,
             self.reference,
             self.width_unit,
+            some(self.stretch),
         )
 
     @property

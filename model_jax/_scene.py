@@ -168,8 +168,13 @@ class Atmosphere(eqx.Module):
     """Thickness of the shell, > 0, scene length units."""
     color: Float[AnyArray, "4"] = eqx.field(converter=_rgba, default=(1.0, 1.0, 1.0, 1.0))
     """Linear RGB and alpha of the air; three numbers mean alpha 1."""
+    path: str = eqx.field(static=True, default="depth")
+    """What a width is: "depth" along the camera's axis, as in the paper, or "distance" along the
+    ray, longer by 1 / cos of the angle between the two."""
 
     def __check_init__(self) -> None:
+        if self.path not in ("depth", "distance"):
+            raise InputError(f"atmosphere.path: {self.path!r} must be 'depth' or 'distance'")
         _require("atmosphere.height", self.height, self.height > 0, "above 0")
         if self.color.shape != (4,):
             raise InputError(

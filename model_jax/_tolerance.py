@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ._analytic import bands, trace_view
+from ._analytic import bands, ray_stretch, trace_view
 from ._combine import layer_widths
 from ._layers import Layers
 from ._scene import Scene
@@ -32,6 +32,8 @@ class WidthRanges:
     """Least and greatest shadowed width; zero without a sun."""
     back: Float[np.ndarray, "h w"]
     """Deepest end of the air, eye depth relative to the planet's centre."""
+    stretch: Float[np.ndarray, "h w"]
+    """Of widths against eye depths: 1 unless they are lengths along rays."""
     silhouette: Bool[np.ndarray, "h w"]
     """Where it depends on the displacement what the ray meets at all: air, ground, a shadow."""
 
@@ -65,7 +67,9 @@ def width_ranges(scene: Scene, inner: float, outer: float) -> WidthRanges:
             back[band] = np.maximum(brightest.back, most_dark.back) * radius
             kinds = [m.kind for m in (brightest, dimmest, least_dark, most_dark)]
             silhouette[band] = np.any([kind != kinds[0] for kind in kinds], axis=(0, 1))
-    return WidthRanges((lit[0], lit[1]), (dark[0], dark[1]), back, silhouette)
+    stretch = ray_stretch(scene) if scene.atmosphere.path == "distance" else np.ones(size)
+    lit, dark = lit * stretch, dark * stretch
+    return WidthRanges((lit[0], lit[1]), (dark[0], dark[1]), back, stretch, silhouette)
 
 
 def shadows_in_view(scene: Scene) -> tuple[bool, ...]:

@@ -131,7 +131,7 @@ def measure_accuracy(scene: Scene, depth_format: DepthFormat) -> Accuracy:
 def _prediction(
     scene: Scene, depth_format: DepthFormat, ranges: WidthRanges, exact: WidthRanges
 ) -> Prediction:
-    step = depth_error(scene, depth_format, ranges.back)
+    step = depth_error(scene, depth_format, ranges.back) * ranges.stretch
     chord = float(np.max(ranges.lit[1] + ranges.dark[1], initial=0.0))
     air = ranges.lit[1] + ranges.dark[1] > 0
     bounds = []

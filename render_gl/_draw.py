@@ -228,7 +228,12 @@ class _Passes:
         self.context.framebuffer([air]).clear()
         self.context.framebuffer(depths).clear(*[self.empty] * 4)
         self._target([air, *depths]).use()
-        units: dict[str, Any] = {"planet_atmosphere": 0, "band_rows": self.size[1]}
+        camera = self.scene.camera
+        units: dict[str, Any] = {
+            "planet_atmosphere": 0,
+            "band_rows": self.size[1],
+            "principal": (camera.width / 2, camera.height / 2 - self.bottom),
+        }
         self._bind(behind, 0)
         if atlas is not None:
             self._bind(atlas, 1)

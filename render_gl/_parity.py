@@ -10,7 +10,10 @@ relative) and e = the driver's worst error of a division in ulp:
     rounding  division by the unit (GLSL 4.60 §4.7.1: 2.5 ulp; JAX ½), and ½ ulp on either side
               for each of the two sums, the products by shadow, tint, colour and brightness and
               the two differences of depths: 3 + 8·1 = 11 ulp of rgb's own size. Each further
-              shadow adds a difference and a sum to both widths, one ulp each.
+              shadow adds a difference and a sum to both widths, one ulp each. Lengths along rays
+              add 8: of the slope 1½ on either side, which its square doubles and the root halves,
+              the squares and their sum 1, the root 2½ + 2 (an inverse square root's), a product
+              of ½ on either side.
 
 The specification allows e = 2.5 against JAX's ½, together 3. Drivers differ (llvmpipe has divided
 by approximate reciprocals on some processors), so e is measured on the driver at hand: 65,536
@@ -33,6 +36,7 @@ from ._shaders import program
 
 EPS = float(np.finfo(np.float32).eps)
 ROUNDINGS = 11
+STRETCH_ROUNDINGS = 8
 SPECIFIED_DIVISION = 3.0
 PROBES = 256
 
@@ -101,7 +105,8 @@ def compare(
     weight = float(look.brightness) * color / float(layers.width_unit)
     # |lit| + shadow |dark| bounds every intermediate of the colour arithmetic.
     further = max(len(frame.shadows) - 1, 0)
-    bound = (ROUNDINGS + 4 * further) * EPS * np.abs(picture[..., :3].astype(np.float64))
+    roundings = ROUNDINGS + 4 * further + STRETCH_ROUNDINGS * (layers.stretch is not None)
+    bound = roundings * EPS * np.abs(picture[..., :3].astype(np.float64))
     linear = STORAGE[depth_format].encoding == "linear"
     if not linear and division_ulp > 0:
         front, back = np.asarray(layers.front), np.asarray(layers.back)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from model_jax import DepthTextures, Layers, Look, Scene, eye_center
+from model_jax import DepthTextures, Layers, Look, Scene, eye_center, ray_stretch
 from model_jax._shapes import Rgba
 
 from ._depth_format import STORAGE, DepthFormat, choose_format
@@ -69,4 +69,7 @@ def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layer
         color=scene.atmosphere.color,
         reference=layers.reference,
         width_unit=layers.width_unit,
+        stretch=ray_stretch(scene).astype(np.float32)
+        if scene.atmosphere.path == "distance"
+        else None,
     )

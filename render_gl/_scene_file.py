@@ -66,7 +66,11 @@ _TABLES: dict[str, dict[str, tuple[str, ...]]] = {
         "albedo": (_TEXT,),
         "triangles": (_WHOLE,),
     },
-    "atmosphere": {"height": ("!", _NUMBER), "color": (_VECTOR, "a list of four numbers")},
+    "atmosphere": {
+        "height": ("!", _NUMBER),
+        "color": (_VECTOR, "a list of four numbers"),
+        "path": (_TEXT,),
+    },
     "sun": {"direction": ("!", _VECTOR), "angular_radius_deg": (_NUMBER,)},
     "occluder": {"center": ("!", _VECTOR), "radius": ("!", _NUMBER)},
     "look": {

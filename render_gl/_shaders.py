@@ -17,7 +17,17 @@ if TYPE_CHECKING:
     import moderngl
 
 DEFINES = frozenset(
-    {"ALBEDO", "COLOR_DEPTH", "LINEAR", "OCCLUDERS", "RELIEF", "REVERSED", "SHADOWS", "SUN"}
+    {
+        "ALBEDO",
+        "COLOR_DEPTH",
+        "LINEAR",
+        "OCCLUDERS",
+        "RELIEF",
+        "REVERSED",
+        "SHADOWS",
+        "STRETCH",
+        "SUN",
+    }
 )
 """Every switch a shader may ask for."""
 

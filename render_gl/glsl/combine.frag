@@ -4,6 +4,10 @@
 #include "combine.glsl"
 #include "depth_code.glsl"
 
+#ifdef STRETCH
+uniform float pixel_size;             // side of a pixel at eye depth 1
+uniform vec2 principal;               // where the camera's axis goes through this band
+#endif
 uniform sampler2D planet_atmosphere;  // PlAtDepth of the paper
 #ifdef SHADOWS
 uniform sampler2D shadow_depths;      // front and back of each shadow, one above the other
@@ -27,5 +31,9 @@ void main() {
     for (int k = 0; k < 2 * SHADOWS; k++)
         depths[2 + k] = texelFetch(shadow_depths, pixel + ivec2(0, k * band_rows), 0).r;
 #endif
-    air = combine(depths);
+#ifdef STRETCH
+    air = combine(depths, length(vec3(pixel_size * (gl_FragCoord.xy - principal), 1.0)));
+#else
+    air = combine(depths, 1.0);
+#endif
 }

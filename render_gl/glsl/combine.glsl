@@ -38,8 +38,9 @@ bool is_nearer(float one, float other) { return one < other; }
 #define DEPTHS 2
 #endif
 
-// depths: front, back, and front and back of each shadow. Returns the lit and the dark width.
-vec2 layer_widths(float depths[DEPTHS]) {
+// depths: front, back, and front and back of each shadow; stretch: length along the ray for each unit
+// of eye depth, or 1. Returns the lit and the dark width.
+vec2 layer_widths(float depths[DEPTHS], float stretch) {
     float front = eye_depth(depths[0]);
     float back = eye_depth(depths[1]);
 #ifndef SHADOWS
@@ -68,11 +69,11 @@ vec2 layer_widths(float depths[DEPTHS]) {
     }
     widths.x += back - reached;
 #endif
-    return widths / width_unit;
+    return widths * stretch / width_unit;
 }
 
-vec4 combine(float depths[DEPTHS]) {
-    vec2 widths = layer_widths(depths);
+vec4 combine(float depths[DEPTHS], float stretch) {
+    vec2 widths = layer_widths(depths, stretch);
 #ifdef SHADOWS
     vec3 light = color.rgb * tint * (widths.x + shadow * widths.y);
 #else

@@ -109,8 +109,8 @@ def drawn(case: Scene, lines: str, look: Look, depth_format: str, monkeypatch: A
         if name == "combine.glsl":
             return pasted(text, lines)
         if name == "combine.frag":  # the frame buffer's part, where there is air
-            assert "air = combine(depths);" in text
-            return text.replace("combine(depths);", "combine(depths) + vec4(background, 0.0);")
+            assert "air = combine(depths, 1.0);" in text
+            return text.replace("depths, 1.0);", "depths, 1.0) + vec4(background, 0.0);")
         return text
 
     wrong = Look(brightness=123.0, shadow=0.77, tint=[2.0, 0.5, 0.5], background=9.0)

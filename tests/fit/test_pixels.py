@@ -156,6 +156,20 @@ def test_columns_hold_the_contract_widths(dtype: type) -> None:
     assert (found.surface, found.clipped) == (None, None)
 
 
+def test_lengths_along_rays_are_stretched_widths() -> None:
+    stretch = np.linspace(1, 2, SIZE[0] * SIZE[1]).reshape(SIZE).astype(np.float32)
+    longer = replace(slab(), stretch=stretch)
+    light = np.ones((*SIZE, 3))
+    plain, found = columns_of(light, slab()), columns_of(light, longer)
+    factor = stretch.reshape(-1)[found.index].astype(np.float64)
+    np.testing.assert_allclose(found.lit, plain.lit * factor, rtol=1e-15)
+    np.testing.assert_allclose(found.dark, plain.dark * factor, rtol=1e-15)
+    assert found.width_error == plain.width_error * np.max(factor)
+    broken = np.where(stretch == stretch.max(), np.nan, stretch)
+    pixels = choose_pixels(light, replace(slab(), stretch=broken))
+    assert pixels.excluded["layers not finite"] == 1
+
+
 def test_layers_without_shadow_have_no_dark_column() -> None:
     layers = slab()
     assert columns_of(np.ones((*SIZE, 3)), Layers(layers.front, layers.back)).dark is None

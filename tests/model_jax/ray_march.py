@@ -19,7 +19,7 @@ Signed = Callable[[np.ndarray], np.ndarray]
 
 
 class Widths(NamedTuple):
-    """Eye-depth lengths [h, w], scene length units."""
+    """Eye depths or, if the scene asks for it, lengths along rays [h, w], scene length units."""
 
     lit: np.ndarray
     dark: np.ndarray
@@ -35,6 +35,8 @@ class March:
         origin, directions = camera_rays(scene)
         reach = np.linalg.norm(origin) + 2 * top
         self.size = directions.shape[:-1]
+        lengths = np.linalg.norm(directions, axis=-1)
+        self.stretch = lengths if scene.atmosphere.path == "distance" else np.ones(self.size)
         self.start, self.end = np.full(self.size, -reach), np.full(self.size, reach)
 
         def point(t: np.ndarray) -> np.ndarray:
@@ -76,11 +78,11 @@ class March:
         enter, leave = np.clip(enter, near, far), np.clip(leave, near, far)
         air = np.maximum(leave - enter, 0)
         if self.scene.sun is None:
-            return Widths(air, np.zeros(self.size))
+            return Widths(air * self.stretch, np.zeros(self.size))
         found = [self.inside(f"shadow {k}", shadow) for k in range(self.count)]
         parts = [tuple(np.clip(end, enter, leave) for end in ends) for ends in found]
         dark = union(parts) * (leave > enter)
-        return Widths(air - dark, dark)
+        return Widths((air - dark) * self.stretch, dark * self.stretch)
 
     def _inside(self, body: str, swollen: float) -> tuple[np.ndarray, np.ndarray]:
         """Where each ray enters and leaves a body; of zero length where it does neither."""

@@ -23,6 +23,7 @@ def scene_of(
     far: float | None = None,
     radius: float = RADIUS,
     moons: tuple[tuple[tuple[float, float, float], float], ...] = (),
+    path: str = "depth",
 ) -> Scene:
     """A scene with positions and lengths in planet radii; `size` is width × height: odd, so that
     the middle pixel looks along the axis, and mostly the same, so that JAX compiles once."""
@@ -33,7 +34,7 @@ def scene_of(
     return Scene(
         Camera(place * radius, forward, up, fov, *size, near * radius, far * radius),
         Planet(radius),
-        Atmosphere(shell * radius, (0.5, 0.7, 1.0)),
+        Atmosphere(shell * radius, (0.5, 0.7, 1.0), path),
         None if sun is None else Sun(sun, angular_radius),
         tuple(Occluder(np.array(at) * radius, size * radius) for at, size in moons),
     )
@@ -130,4 +131,13 @@ ECLIPSES = {
         moons=(((1.0, -2.7, 0.6), 0.3), ((139.0, -186.0, 14.0), 0.2)),
     ),
 }  # fmt: skip
-SCENES = OCTANTS | PLACES | SHAPES | AXES | TANGENT | ECLIPSES
+LENGTHS = {
+    "lengths": scene_of((0.3, -2.0, 0.4), fov=80.0, path="distance"),
+    "lengths, wide field": scene_of(
+        (0.0, -1.6, 0.4), (0.2, 0.0, 0.1), fov=150.0, sun=(0.9, 0.2, -0.2), path="distance"
+    ),
+    "lengths, in the shell": scene_of(
+        (0.0, -1.05, 0.02), (0.8, 0.4, 0.5), fov=75.0, sun=(0.8, 0.2, -0.3), path="distance"
+    ),
+}
+SCENES = OCTANTS | PLACES | SHAPES | AXES | TANGENT | ECLIPSES | LENGTHS

@@ -66,6 +66,7 @@ BAD: dict[str, tuple[Callable[[], object], str, str]] = {
         "(-1.0, 1.0)",
     ),
     "no air": (lambda: Atmosphere(0.0), "atmosphere.height", "0"),
+    "unknown path": (lambda: Atmosphere(0.1, path="chord"), "atmosphere.path", "chord"),
     "negative colour": (lambda: Atmosphere(0.1, (-1.0, 0.0, 0.0)), "atmosphere.color", "-1.0"),
     "sun without direction": (lambda: Sun((0.0, 0.0, 0.0)), "sun.direction", "0.0"),
     "sun too large": (lambda: Sun((1.0, 0.0, 0.0), 90.0), "sun.angular_radius_deg", "90"),

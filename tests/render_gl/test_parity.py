@@ -24,6 +24,7 @@ def scene(
     size: tuple[int, int] = (320, 240),
     sun_radius: float = 0.2666,
     moons: tuple[tuple[tuple[float, float, float], float], ...] = (),
+    path: str = "depth",
 ) -> Scene:
     """A camera `distance` planet radii away that sees the whole shell; lengths in km.
 
@@ -46,7 +47,7 @@ def scene(
             (distance + 1.01 * shell) * radius,
         ),
         Planet(radius, triangles=20_000),
-        Atmosphere(thickness * radius, [0.3, 0.6, 1.0, 0.9]),
+        Atmosphere(thickness * radius, [0.3, 0.6, 1.0, 0.9], path),
         None if sun is None else Sun(sun, sun_radius),
         tuple(Occluder(np.array(at) * radius, size * radius) for at, size in moons),
     )
@@ -64,6 +65,7 @@ SCENES = {f"sun {octant}": scene(sun=octant) for octant in OCTANTS} | {
     "cylinder": scene(sun_radius=0.0),
     "apex in the shell": scene(thickness=1.5, distance=4.0, sun_radius=35.0),
     "no sun": scene(sun=None),
+    "lengths": scene(distance=1.3, path="distance"),
     "eclipse": scene(thickness=0.3, moons=(((3.0, -1.9, 1.0), 0.3),)),
     "moon sixty radii away": scene(thickness=0.3, moons=(((53.7, -22.3, 16.4), 0.6),)),
     "three moons": scene(
