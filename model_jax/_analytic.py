@@ -18,7 +18,7 @@ from ._intersect import ray_cone, ray_sphere, squared_miss_distance
 from ._layers import Layers
 from ._scene import Scene
 from ._shapes import AnyArray, Scalar
-from ._view import View, eye_center, pixel_slopes, ray_offsets, view_of
+from ._view import Aim, View, eye_center, pixel_slopes, ray_offsets, view_of
 
 BAND = 2**18
 """Pixels looked at at once where all are asked: some MB for each float64 quantity."""
@@ -86,14 +86,14 @@ def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
         return jnp.clip(depth, view.near, view.far)
 
     in_shell, (front, back) = ray_sphere(x, y, mx, my, view.shell)
-    cut, (ground, behind) = ray_sphere(x, y, mx, my, view.planet)
+    cut, (ground, _) = ray_sphere(x, y, mx, my, view.planet)
     # The planet ends the ray wherever it is in front of the camera: the clip planes limit depths
     # (they are clamped, as by the rasteriser), not what is there.
-    hit = cut & (behind > view.camera)
+    hit = cut & _ahead(x, y, view.aim)
     back = jnp.where(hit, ground, back)
     for body in view.occluders:
-        met, (enter, leave) = ray_sphere(x, y, *ray_offsets(body.aim, height, width), body.radius)
-        met &= leave + body.depth > view.camera
+        met, (enter, _) = ray_sphere(x, y, *ray_offsets(body.aim, height, width), body.radius)
+        met &= _ahead(x, y, body.aim)
         back = jnp.where(met, jnp.minimum(back, enter + body.depth), back)
         hit |= met
     front, back = clamp(front), clamp(back)
@@ -112,6 +112,15 @@ def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
         return front, back, planet, *shadows[0]
     starts, ends = zip(*shadows, strict=True)
     return front, back, planet, jnp.stack(starts), jnp.stack(ends)
+
+
+def _ahead(x: AnyArray, y: AnyArray, aim: Aim) -> AnyArray:
+    """Whether a sphere that the ray's line cuts lies before the camera, which is outside of it.
+
+    Both ends are then on one side, that of the centre. Depths would not tell for a camera on the
+    ground: which side of it they are on is a matter of rounding.
+    """
+    return x * aim.center[0] + y * aim.center[1] + aim.center[2] > 0
 
 
 def bands(scene: Scene) -> Iterator[tuple[slice, View]]:

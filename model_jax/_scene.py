@@ -234,7 +234,8 @@ class Scene(eqx.Module):
         if _traced(self.camera.position) or _traced(self.planet.radius):
             return
         distance = float(np.linalg.norm(self.camera.position))
-        if distance < self.planet.radius:
+        # Ground level is no digit more exact than its coordinates.
+        if distance < self.planet.radius * (1 - 1e-12):
             raise InputError(
                 f"camera.position: {_show(self.camera.position)} lies inside the planet "
                 f"({distance:g} from its centre, radius {float(self.planet.radius):g}); move it out"

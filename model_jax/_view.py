@@ -50,6 +50,8 @@ class Aim(eqx.Module):
     """Column and row index (whole numbers) at which `offset` is stated."""
     offset: Float[AnyArray, "2"]
     """mx and my at the anchor pixel's centre."""
+    center: Float[AnyArray, "3"]
+    """The point itself, as the camera sees it."""
 
 
 class Body(eqx.Module):
@@ -70,8 +72,6 @@ class View(eqx.Module):
     """Column and row index of the optical axis."""
     aim: Aim
     """At the planet's centre."""
-    camera: Scalar
-    """Eye depth 0, the camera's own plane, relative to the planet's centre."""
     near: Scalar
     """Eye depth of the near plane relative to the planet's centre."""
     far: Scalar
@@ -116,7 +116,6 @@ def view_of(scene: Scene) -> View:
         pixel=camera.pixel_size(),
         principal=(np.asarray([camera.width, camera.height]) - 1) / 2,
         aim=_aim(camera, center),
-        camera=-depth,
         near=camera.near / radius - depth,
         far=camera.far / radius - depth,
         planet=1.0,
@@ -137,7 +136,7 @@ def _aim(camera: Camera, center: Float[AnyArray, "3"]) -> Aim:
     middle = (size - 1) / 2.0
     projected = middle + flip * safe_divide(center[:2], xp.stack([slope, slope]), 0.0)
     anchor = xp.round(xp.clip(projected, -4 * size, 5 * size))
-    return Aim(slope, anchor, flip * slope * (anchor - middle) - center[:2])
+    return Aim(slope, anchor, flip * slope * (anchor - middle) - center[:2], center)
 
 
 def pixel_slopes(view: View, height: int, width: int) -> tuple[AnyArray, AnyArray]:

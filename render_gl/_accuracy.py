@@ -26,7 +26,8 @@ from ._depth_format import EPS, DepthFormat, depth_error
 from ._mesh import sphere_mesh
 from ._render import render
 
-SUBPIXELS = 256
+SNAP = np.sqrt(0.5) / 256
+"""Half the diagonal of a sub-pixel, pixels."""
 TRANSFORM_ULP = 8
 
 
@@ -149,8 +150,10 @@ def displacement(scene: Scene) -> tuple[float, float]:
     """How far inside and outside its true place a rasterised surface may lie, planet radii."""
     radius = float(scene.planet.radius)
     shell = 1 + float(scene.atmosphere.height) / radius
-    distance = float(np.linalg.norm(np.asarray(scene.camera.position))) / radius + shell
-    footprint = float(scene.camera.pixel_size()) * distance / SUBPIXELS
+    camera = max(float(np.linalg.norm(np.asarray(scene.camera.position))) / radius, 1.0)
+    # Nothing in view lies farther than where a ray that grazes the ground leaves the air.
+    distance = np.sqrt(camera**2 - 1) + np.sqrt(shell**2 - 1)
+    footprint = float(scene.camera.pixel_size()) * distance * SNAP
     rounding = footprint + TRANSFORM_ULP * EPS * shell
     deficit = (1 - sphere_mesh(scene.planet.triangles).inner_radius) * shell
     return deficit + rounding, rounding

@@ -140,4 +140,71 @@ LENGTHS = {
         (0.0, -1.05, 0.02), (0.8, 0.4, 0.5), fov=75.0, sun=(0.8, 0.2, -0.3), path="distance"
     ),
 }
-SCENES = OCTANTS | PLACES | SHAPES | AXES | TANGENT | ECLIPSES | LENGTHS
+
+
+def anywhere(
+    place: str, gaze: str, size: tuple[int, int] = (33, 25), angular_radius: float = 5.0
+) -> Scene:
+    """A camera at one of `STANDS` that looks along one of `GAZES`; the sun is a wide one, so that
+    generatrices of its cone of shadow are no lines along its axis."""
+    sun = np.array([0.3, 0.5, 0.2]) / np.sqrt(0.38)
+    axis, side = -sun, np.array([0.5, -0.3, 0.0]) / np.sqrt(0.34)
+    height, angle = STANDS[place]
+    at = height * (np.cos(angle) * axis + np.sin(angle) * side)
+    slope = np.tan(np.deg2rad(angular_radius))
+    across = at - (at @ axis) * axis
+    away = across / np.linalg.norm(across)
+    up = at / height
+    # The tangent from `at` touches the planet at the angle acos(1 / height) from `up`.
+    touch = up / height + np.sqrt(max(1 - height**-2, 0)) * np.cross(up, np.cross(away, up))
+    touch = touch - at if height > 1 else np.cross(up, np.cross(away, up))
+    forward = {
+        "at the planet": -at,
+        "away": at,
+        "along the axis": axis,
+        "against the axis": -axis,
+        "along a generatrix": axis - slope * away,
+        "against a generatrix": slope * away - axis,
+        "at the limb": touch,
+    }[gaze]
+    return scene_of(
+        tuple(at),
+        tuple(at + forward),
+        tuple(sun),
+        fov=70.0,
+        size=size,
+        near=1e-6,
+        shell=0.2,
+        angular_radius=angular_radius,
+    )
+
+
+STANDS = {
+    "outside": (2.5, 2.0),
+    "in the shell": (1.1, 1.9),
+    "on the ground": (1.0, 1.9),
+    "in the cone": (2.2, 0.2),
+    "in cone and shell": (1.1, 0.5),
+    "on dark ground": (1.0, 0.7),
+}
+"""Where a camera can be: planet radii, and angle off the axis of the shadow, radians."""
+GAZES = (
+    "at the planet", "away", "along the axis", "against the axis", "along a generatrix",
+    "against a generatrix", "at the limb",
+)  # fmt: skip
+ANYWHERE = {f"{place}, {gaze}": anywhere(place, gaze) for place in STANDS for gaze in GAZES}
+EXTREMES = {
+    # The paper's Fig. 11: the near plane cuts the front of the shadow.
+    "near plane in the shadow": scene_of((0.6, -2.0, 0.3), sun=(0.5, 0.7, 0.1), near=1.3),
+    "shell of 1e-4": scene_of((0.5, -2.5, 0.4), shell=1e-4, fov=50.0),
+    "shell of 2": scene_of((0.5, -5.5, 0.4), shell=2.0, fov=70.0, sun=(0.7, 0.6, -0.2)),
+    "field of 0.1 degrees": scene_of((0.0, -3.0, 0.0), (1.03, 0.0, 0.1), (-0.9, 0.2, 0.1), fov=0.1),
+    "only the shell": scene_of(
+        (0.0, -3.0, 0.0), (1.2, 0.0, 0.0), (-0.9, 0.2, 0.1), fov=4.0, shell=0.3
+    ),
+    "a metre above the ground": scene_of(
+        (0.0, 0.0, 1 + 1.57e-7), (0.3, 1.0, 1.1), sun=(0.6, -0.3, -0.2), fov=60.0, near=1e-8
+    ),
+    "a million radii away": scene_of((1e6, 0.0, 0.0), (0.0, 0.9, 0.7), (0.1, -0.8, -0.3), fov=1e-4),
+}  # fmt: skip
+SCENES = OCTANTS | PLACES | SHAPES | AXES | TANGENT | ECLIPSES | LENGTHS | EXTREMES | ANYWHERE

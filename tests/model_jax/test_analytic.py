@@ -10,7 +10,7 @@ import pytest
 from model_jax import InputError, Scene, analytic_layers, eye_center, layer_widths, limb_height
 
 from .ray_march import March
-from .scenes import PLACES, SCENES, scene_of
+from .scenes import ANYWHERE, PLACES, SCENES, scene_of
 
 STEPS = 16
 """Rounded operations between a ray's pixel index and the squared distances compared with radii²:
@@ -78,11 +78,22 @@ LIT_ONLY = {
 }
 
 
-@pytest.mark.parametrize("name", sorted(set(SCENES) - LIT_ONLY))
+def has_shadow(scene: Scene) -> bool:
+    _, dark = lengths(scene, np.dtype("float32"))
+    return dark.max() > 0.1 * scene.atmosphere.height
+
+
+@pytest.mark.parametrize("name", sorted(set(SCENES) - LIT_ONLY - set(ANYWHERE)))
 def test_scenes_have_shadow_to_get_wrong(name: str) -> None:
     """A width that is zero everywhere would compare nothing."""
-    _, dark = lengths(SCENES[name], np.dtype("float32"))
-    assert dark.max() > 1e-3 * SCENES[name].planet.radius
+    assert has_shadow(SCENES[name])
+
+
+def test_most_places_see_shadow() -> None:
+    seen = {name for name, scene in ANYWHERE.items() if has_shadow(scene)}
+    assert len(seen) > len(ANYWHERE) / 3
+    for place in ("outside", "in the shell", "in the cone", "in cone and shell", "on dark ground"):
+        assert any(name.startswith(place) for name in seen)
 
 
 @pytest.mark.parametrize("name", SCENES)

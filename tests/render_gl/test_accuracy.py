@@ -8,9 +8,10 @@ import pytest
 import render_gl
 from model_jax import Atmosphere, Camera, Planet, Scene, analytic_layers, layer_widths, width_ranges
 from render_gl._accuracy import displacement, measure_accuracy, predict_accuracy, smooth
-from render_gl._depth_format import EPS
+from render_gl._depth_format import EPS, choose_format
 from render_gl._mesh import cone_mesh, sphere_mesh
 
+from ..model_jax.scenes import ANYWHERE, EXTREMES, LENGTHS
 from .test_parity import SCENES
 
 STEPPED = {
@@ -37,6 +38,20 @@ def test_rasterised_widths_are_as_predicted(name: str, depth_format: str) -> Non
     assert predicted <= 10 * accuracy.largest
     assert np.isfinite(accuracy.measured).sum() >= 1e4
     assert accuracy.predicted.silhouette.mean() < 0.02
+
+
+@pytest.mark.parametrize("name", ANYWHERE | EXTREMES | LENGTHS)
+def test_cameras_anywhere_see_the_right_widths(name: str) -> None:
+    """On and above the ground, in the shadow, looking along it: in the format the scene gets."""
+    case = (ANYWHERE | EXTREMES | LENGTHS)[name]
+    case = eqx.tree_at(lambda s: s.camera, case, case.camera.resized(320, 240))
+    accuracy = measure_accuracy(case, choose_format(case).depth_format)
+    assert accuracy.passed, accuracy.summary()
+    predicted = accuracy.predicted
+    assert accuracy.largest <= predicted.error
+    known = np.isfinite(accuracy.measured).any(axis=0) & ~predicted.silhouette
+    if known.sum() >= 1e4 and accuracy.largest > 4 * EPS * predicted.chord:
+        assert predicted.error <= 10 * accuracy.largest
 
 
 def test_a_finer_mesh_is_predicted_and_found() -> None:
