@@ -659,8 +659,8 @@ def _undone(
 ) -> Undone | None:
     """The look before JPEG; None where no photo was one, or of no kind that can be done again.
 
-    Nor where what is left over is no noise, or much is clipped: what the light before compression
-    was is not known then.
+    Nor where what is left over is neither noise nor made by compression, or much is clipped: what
+    the light before was is not known then.
     """
     task, problem, end = evidence.task, evidence.problem, evidence.end
     lossy = [p for p in task.photos if isinstance(p, Photo) and p.lossy]
@@ -669,7 +669,7 @@ def _undone(
     if not end.settled or not evidence.along.shape[1]:
         return None
     clipped = 3 * sum(len(c.lit) for c in problem.columns) - problem.count
-    if evidence.spread.correlation_px > STRUCTURED_PX or clipped > MOST_CLIPPED * problem.count:
+    if clipped > MOST_CLIPPED * problem.count:
         return None
     return undo_compression(
         task.photos,
@@ -682,6 +682,7 @@ def _undone(
         residuals,
         evidence.spread.area,
         noise,
+        evidence.spread.correlation_px > STRUCTURED_PX,
     )
 
 
@@ -831,11 +832,14 @@ def _without_data(
 def _warnings(result: FitResult, photos: Sequence[PhotoLike]) -> tuple[str, ...]:
     found = []
     explained, errors = result.explained, result.errors
+    told = [result.parameters[name] for name in result.correlation_names]
+    undone = bool(told) and all(e.compression_shift is not None for e in told)
     if explained is not None and explained < WELL_EXPLAINED:
         found.append(
             "Look at what is left over: where it has structure, this look cannot follow the photo."
         )
-    if errors is not None and errors.correlation_px > STRUCTURED_PX and (explained or 0) < 1 - 1e-6:
+    structured = errors is not None and errors.correlation_px > STRUCTURED_PX
+    if errors is not None and structured and not undone and (explained or 0) < 1 - 1e-6:
         found.append(
             f"What is left over hangs together over {errors.correlation_px:.0f} pixels, which is "
             "no noise: mask what is not air, or use a robust loss."
@@ -843,9 +847,8 @@ def _warnings(result: FitResult, photos: Sequence[PhotoLike]) -> tuple[str, ...]
     background = [e for n, e in result.parameters.items() if n.startswith("background")]
     if any(e.stderr is not None and e.value + 3 * e.stderr < 0 for e in background):
         found.append("The background came out negative: the model takes light away.")
-    told = [result.parameters[name] for name in result.correlation_names]
     lossy = any(isinstance(p, Photo) and p.lossy for p in photos)
-    if lossy and any(e.compression_shift is None for e in told):
+    if lossy and told and not undone:
         found.append(
             "The photo's compression rounds colours block by block, which the intervals know only "
             "in part: fit the picture before it was compressed, if there is one."

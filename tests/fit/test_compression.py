@@ -268,6 +268,31 @@ def test_one_of_two_photos_is_a_jpeg(layers64: Layers, tmp_path: Path) -> None:
     assert all(result.parameters[name].compression_shift is not None for name in NAMES)
 
 
+def test_structure_that_compression_makes_is_undone(tmp_path: Path) -> None:
+    """Noise of one code does not dither the steps of colours: smooth air gets plateaus of their
+    errors, much wider than a block, and the fit without their cause is many errors off."""
+    rng = np.random.default_rng(11)
+    shape = (192, 256)
+    rows, cols = np.indices(shape)
+    lit = 1.5 + np.cos(cols / 90) * np.sin(rows / 70)
+    dark = np.where(cols > 150, 0.6 * lit, 0.0)
+    layers = Layers(np.zeros(shape), lit + dark, lit, lit + dark, planet=np.zeros(shape))
+    truth = Look(0.2, 0.3, (0.9, 1.0, 1.1), 0.05)
+    light = picture(layers, truth) + rng.normal(scale=0.003, size=(*shape, 3))
+    codes = np.round(255 * np.clip(np.asarray(Srgb().encode(light)), 0, 1)).astype(np.uint8)
+    Image.fromarray(codes).save(tmp_path / "a.jpg", quality=85)
+    result = fit(load_photo(tmp_path / "a.jpg"), layers, START)
+    assert result.errors is not None
+    assert result.errors.correlation_px > 16
+    wanted = dict(zip(NAMES, [0.2, 0.3, 0.9, 1.0, 1.1, 0.05], strict=True))
+    for name, value in wanted.items():
+        found = result.parameters[name]
+        assert found.compression_shift is not None
+        assert found.stderr is not None
+        assert abs(found.value - value) < 4 * found.stderr
+    assert not result.warnings
+
+
 def test_structure_is_not_taken_for_noise(layers64: Layers, tmp_path: Path) -> None:
     """What the light was before compression is not known where the look cannot follow it."""
     photo = shot(layers64, tmp_path, "a.jpg")
