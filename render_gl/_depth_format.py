@@ -43,16 +43,14 @@ class Storage:
     """Number type of the colour attachment, in moderngl's words; None is the depth buffer."""
     rounding: float
     """Half a step of stored window depths."""
-    bytes: int
-    """A pixel."""
 
 
 STORAGE: dict[DepthFormat, Storage] = {
-    "window16": Storage("window", "nu2", 0.5 / 65535, 2),
-    "window24": Storage("window", None, 0.5 * 2.0**-24, 4),
-    "window32f": Storage("window", "f4", 0.0, 4),
-    "reversed32f": Storage("reversed", "f4", 0.0, 4),
-    "linear": Storage("linear", "f4", 0.0, 4),
+    "window16": Storage("window", "nu2", 0.5 / 65535),
+    "window24": Storage("window", None, 0.5 * 2.0**-24),
+    "window32f": Storage("window", "f4", 0.0),
+    "reversed32f": Storage("reversed", "f4", 0.0),
+    "linear": Storage("linear", "f4", 0.0),
 }
 
 

@@ -29,12 +29,11 @@ from jaxtyping import Float
 from model_jax import DriverError, Look, Scene, combine, depth_constants
 
 from ._context import gl_context
-from ._depth_format import STORAGE, DepthFormat
+from ._depth_format import EPS, STORAGE, DepthFormat
 from ._draw import Frame, assign_uniforms
 from ._render import frame_layers
 from ._shaders import program
 
-EPS = float(np.finfo(np.float32).eps)
 ROUNDINGS = 11
 STRETCH_ROUNDINGS = 8
 SPECIFIED_DIVISION = 3.0
