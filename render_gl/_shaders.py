@@ -25,6 +25,7 @@ DEFINES = frozenset(
         "RELIEF",
         "REVERSED",
         "SHADOWS",
+        "SORTED",
         "STRETCH",
         "SUN",
     }

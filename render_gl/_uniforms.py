@@ -25,6 +25,7 @@ def uniforms_of(scene: Scene, look: Look, encoding: Encoding) -> dict[str, Any]:
         "focal": (focal_y * camera.height / camera.width, focal_y),
         "length_unit": radius,
         "eye_reference": (center[2], near / radius),
+        "body_depths": _body_depths(scene, near / radius - center[2]),
         "reversed_factor": near / (far - near),
         "depth_constants": depth_constants(near, far, encoding == "reversed"),
         "width_unit": far - near,
@@ -56,6 +57,7 @@ def defines_of(scene: Scene, storage: Storage, shadows: int) -> dict[str, int]:
     """The shader switches of a scene: what it does not have, or show, is not compiled."""
     wanted = {
         "COLOR_DEPTH": storage.texture is not None,
+        "SORTED": storage.texture is not None and _overlap(scene),
         "LINEAR": storage.encoding == "linear",
         "REVERSED": storage.encoding == "reversed",
         "SHADOWS": shadows,
@@ -66,6 +68,26 @@ def defines_of(scene: Scene, storage: Storage, shadows: int) -> dict[str, int]:
         "RELIEF": scene.planet.relief is not None,
     }
     return {name: int(value) for name, value in wanted.items() if value}
+
+
+def _overlap(scene: Scene) -> bool:
+    """Whether bodies can hide parts of each other: a smooth planet alone shows all its front."""
+    return scene.planet.relief is not None or bool(scene.occluders)
+
+
+HIGHEST = 2.0
+"""No mountain is higher than the planet's radius."""
+
+
+def _body_depths(scene: Scene, near: float) -> tuple[float, float]:
+    """Between which eye depths planet and occluders lie, relative to the planet's centre, radii."""
+    radius = float(scene.planet.radius)
+    forward = np.asarray(scene.camera.basis())[2]
+    spans = [(0.0, HIGHEST)]
+    spans += [(forward @ o.center / radius, float(o.radius) / radius) for o in scene.occluders]
+    low, high = min(c - r for c, r in spans), max(c + r for c, r in spans)
+    low = max(low, near)
+    return low, max(high, low + 1e-3)
 
 
 def relief_scale(scene: Scene) -> float:

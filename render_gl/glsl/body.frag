@@ -11,5 +11,8 @@ void main() {
     surface = vec4(0.0, 0.0, 0.0, 1.0);
 #ifdef COLOR_DEPTH
     depth = coded_depth();
+#ifdef SORTED
+    gl_FragDepth = sorting_depth();
+#endif
 #endif
 }

@@ -8,6 +8,16 @@ uniform vec2 eye_reference;    // eye depth of the planet's centre and of the ne
 uniform float reversed_factor; // near / (far - near)
 in float relative_depth;
 
+#ifdef SORTED
+uniform vec2 body_depths;      // between which planet and occluders lie, as clip_planes
+
+// What the depth buffer sorts bodies by, linear in eye depth: window depth may be 1 for all of them.
+float sorting_depth() {
+    float share = (relative_depth - body_depths.x) / (body_depths.y - body_depths.x);
+    return clamp(share, 0.0, 1.0);
+}
+#endif
+
 float coded_depth() {
     float depth = clamp(relative_depth, clip_planes.x, clip_planes.y);
 #ifdef LINEAR

@@ -83,5 +83,8 @@ void main() {
     surface = vec4(light, 1.0);
 #ifdef COLOR_DEPTH
     depth = coded_depth();
+#ifdef SORTED
+    gl_FragDepth = sorting_depth();
+#endif
 #endif
 }

@@ -264,6 +264,23 @@ def test_missing_channels_are_named(tmp_path: Path) -> None:
         render_gl.read_layers(path)
 
 
+@pytest.mark.parametrize("depth_format", ["reversed32f", "linear"])
+def test_bodies_hide_each_other_at_any_near_plane(depth_format: str) -> None:
+    """Where all window depths are 1: mountains behind mountains, moons before and behind."""
+    file = render_gl.load_scene("examples/paper.toml")
+    case = eqx.tree_at(lambda s: s.camera, file.scene, file.scene.camera.resized(320, 256))
+    moons = scene(
+        distance=4.0, thickness=0.3, moons=(((0.3, -2.5, 0.6), 0.4), ((-1.0, 2.0, 0.4), 0.6))
+    )
+    for each in (case, moons):
+        close = eqx.tree_at(lambda s: s.camera.near, each, 1e-9 * each.planet.radius)
+        ordinary, found = (render_gl.render(s, depth_format) for s in (each, close))
+        depths = [np.asarray(layers.back) + layers.reference for layers in (ordinary, found)]
+        # Clip coordinates round otherwise: a pixel on an edge may belong to its neighbour.
+        off = np.abs(depths[1] - depths[0]) > 1e-3 * each.planet.radius
+        assert np.mean(off & ordinary.has_air) < 1e-4
+
+
 @pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
 def test_large_pictures_are_drawn_in_bands(monkeypatch, depth_format) -> None:
     """The same picture, up to how a driver rounds triangles that it clips at a band's border.

@@ -18,6 +18,7 @@ EXEMPT = {
     "main": "entry point",
     "eye_depth": "chooses between the depth formats; DepthTextures.linearize does that in JAX",
     "is_nearer": "which way window depths run; JAX compares eye depths",
+    "sorting_depth": "hidden surfaces of a rasteriser",
     "coded_depth": "what a rasteriser stores; `linearize_depth` is its inverse",
     "eye_position": "vertex stage; checked against exact intersection",
     "clip_position": "vertex stage; checked against exact intersection",
