@@ -18,12 +18,12 @@ import numpy as np
 from jaxtyping import Float
 
 from model_jax import InputError, Layers, Look, Response
-from model_jax._shapes import AnyArray
+from model_jax._shapes import AnyArray, is_traced
 
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
 from ._compression import Undone, undo_compression
 from ._loss import Loss, LossName, check_loss, weigh
-from ._memory import give_back
+from ._memory import bound_programs, give_back
 from ._parameters import (
     CHANNELS,
     Entries,
@@ -64,7 +64,7 @@ from ._result import (
 from ._search import End, Problem, search, state
 from ._solve import make_solver
 from ._stream import Model, Prior
-from ._traced import TracedFit, concrete, fit_traced, is_traced
+from ._traced import TracedFit, concrete, fit_traced
 from ._uncertainty import (
     Spread,
     influence_maps,
@@ -175,6 +175,7 @@ def fit(
     """
     if is_traced(photo, look, response):
         return _fit_traced(photo, layers, look, free, response, bounds, priors, tied, loss, solver)
+    bound_programs()
     photos, all_layers = _pairs(photo, layers)
     responses = _responses(response, len(photos))
     parameters = declare(look, responses, free=free, bounds=bounds, priors=priors, tied=tied)

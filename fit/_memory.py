@@ -1,11 +1,21 @@
-"""Memory that was freed goes back to the system, where the C library is glibc.
+"""What a process holds stays bounded: freed memory goes back to the system, old programs go.
 
-Left alone it keeps what is below 32 MB, and what compiling left behind: hundreds of MB beside a
-large photo's own.
+The C library, where it is glibc, keeps what was freed in blocks below 32 MB, and what compiling
+left behind: hundreds of MB beside a large photo's own. JAX keeps every program that it has
+compiled, and each holds memory maps, a descent's four hundred. Linux gives a process 65,530 of them
+(`vm.max_map_count`): one that fits photos of ever new sizes with ever new options would end, after
+some eighty fits and 6 GB, in a segmentation fault of the compiler.
 """
 
 import ctypes
+import gc
 from contextlib import suppress
+from pathlib import Path
+
+import jax
+
+MOST_MAPS = 12_000
+"""From this many on programs go: those of fifteen kinds of fit, 1.2 GB, a fifth of the limit."""
 
 _M_MMAP_THRESHOLD = -3
 
@@ -20,3 +30,20 @@ def give_back() -> None:
     """Give back what is free now."""
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
+
+
+def count_maps() -> int:
+    """Memory maps of this process; 0 where the system does not tell, which then has no limit."""
+    try:
+        return Path("/proc/self/maps").read_bytes().count(b"\n")
+    except OSError:
+        return 0
+
+
+def bound_programs() -> None:
+    """Clear JAX's caches once the process holds too many programs: what is still used is compiled
+    again. All of JAX's, for the operations on the photo's arrays are in none of our own."""
+    if count_maps() > MOST_MAPS:
+        jax.clear_caches()
+        gc.collect()
+        give_back()

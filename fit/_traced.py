@@ -19,7 +19,7 @@ import optimistix as optx
 from jaxtyping import Float, Int
 
 from model_jax import InputError, Layers, Look, Response, layer_widths
-from model_jax._shapes import AnyArray
+from model_jax._shapes import AnyArray, is_traced
 
 from ._loss import Loss, weigh
 from ._parameters import (
@@ -63,11 +63,6 @@ class TracedFit(eqx.Module):
     square_sum: Float[jax.Array, ""]
     """Σ residual² over used samples."""
     names: tuple[str, ...] = eqx.field(static=True)
-
-
-def is_traced(*values: object) -> bool:
-    """Some leaf is a tracer."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
 
 
 def concrete(look: Look, response: Response) -> tuple[Look, Response]:

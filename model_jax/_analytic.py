@@ -5,7 +5,6 @@ OpenGL. Host part in float64 (`_view`), per-pixel part in float32 or float64 JAX
 """
 
 from collections.abc import Iterator
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -17,11 +16,14 @@ from ._errors import InputError
 from ._intersect import ray_cone, ray_sphere, squared_miss_distance
 from ._layers import Layers
 from ._scene import Scene
-from ._shapes import AnyArray, Scalar
-from ._view import Aim, View, eye_center, pixel_slopes, ray_offsets, view_of
+from ._shapes import AnyArray, is_traced, namespace
+from ._view import Aim, View, eye_center, pixel_grid, pixel_slopes, ray_offsets, view_of
 
 BAND = 2**18
 """Pixels looked at at once where all are asked: some MB for each float64 quantity."""
+
+PIECE = 2**16
+"""Pixels traced at once, whatever the picture's size: one compiled program serves all sizes."""
 
 
 def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
@@ -50,37 +52,63 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
         )
     camera, radius = scene.camera, scene.planet.radius
     depths = trace_view(view_of(scene).astype(dtype), camera.height, camera.width)
-    scale = jnp.asarray(radius, dtype)
     front, back, planet, *shadow = depths
+    scale = namespace(front).asarray(radius, front.dtype)
     return Layers(
-        front=front * scale,
-        back=back * scale,
-        shadow_front=shadow[0] * scale if shadow else None,
-        shadow_back=shadow[1] * scale if shadow else None,
-        planet=planet,
+        front=jnp.asarray(front * scale),
+        back=jnp.asarray(back * scale),
+        shadow_front=jnp.asarray(shadow[0] * scale) if shadow else None,
+        shadow_back=jnp.asarray(shadow[1] * scale) if shadow else None,
+        planet=jnp.asarray(planet),
         color=scene.atmosphere.color,
         reference=eye_center(scene)[2],
         width_unit=camera.far - camera.near,
-        stretch=_traced_stretch(scene, dtype) if scene.atmosphere.path == "distance" else None,
+        stretch=jnp.asarray(_stretch(scene, dtype))
+        if scene.atmosphere.path == "distance"
+        else None,
     )
 
 
 def ray_stretch(scene: Scene) -> Float[np.ndarray, "h w"]:
     """Length along each pixel's ray for a unit of eye depth, `|(x, y, 1)|`; float64."""
-    with jax.enable_x64(True):
-        return np.asarray(_traced_stretch(scene, jnp.float64))
+    return np.asarray(_stretch(scene, np.float64))
 
 
-def _traced_stretch(scene: Scene, dtype: DTypeLike) -> Float[jax.Array, "h w"]:
-    x, y = pixel_slopes(view_of(scene).astype(dtype), scene.camera.height, scene.camera.width)
-    return jnp.sqrt(1 + x * x + y * y)
+def _stretch(scene: Scene, dtype: DTypeLike) -> Float[AnyArray, "h w"]:
+    view, camera = view_of(scene), scene.camera
+    xp = namespace(view)
+    view = jax.tree.map(lambda leaf: xp.asarray(leaf, dtype), view)
+    x, y = pixel_slopes(view, *pixel_grid(camera.height, camera.width, dtype))
+    return xp.sqrt(1 + x * x + y * y)
 
 
-@partial(jax.jit, static_argnums=(1, 2))
 def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
-    """Front, back, planet mask and, with a sun, shadow front and back, in planet radii."""
-    x, y = pixel_slopes(view, height, width)
-    mx, my = ray_offsets(view.aim, height, width)
+    """Front, back, planet mask and, with a sun, shadow front and back, in planet radii.
+
+    NumPy arrays [h, w], shadows of several bodies [n, h, w]; traced ones of a traced view.
+    """
+    dtype = np.dtype(getattr(view.pixel, "dtype", np.float64))
+    if is_traced(view):
+        return _trace(view, *pixel_grid(height, width, dtype))
+    pixels = height * width
+    found: list[np.ndarray] = []
+    for start in range(0, pixels, PIECE):
+        # Beyond the last pixel the piece goes on through rows that do not exist.
+        row, column = np.divmod(np.arange(start, start + PIECE), width)
+        parts = [np.asarray(p) for p in _trace(view, column.astype(dtype), row.astype(dtype))]
+        if not found:
+            found = [np.empty((*part.shape[:-1], pixels), dtype) for part in parts]
+        end = min(start + PIECE, pixels)
+        for whole, part in zip(found, parts, strict=True):
+            whole[..., start:end] = part[..., : end - start]
+    return tuple(whole.reshape(*whole.shape[:-1], height, width) for whole in found)
+
+
+@jax.jit
+def _trace(view: View, column: AnyArray, row: AnyArray) -> tuple[AnyArray, ...]:
+    """`trace_view` of any pixels, whose indices broadcast."""
+    x, y = pixel_slopes(view, column, row)
+    mx, my = ray_offsets(view.aim, column, row)
 
     def clamp(depth: AnyArray) -> AnyArray:
         return jnp.clip(depth, view.near, view.far)
@@ -92,7 +120,7 @@ def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
     hit = cut & _ahead(x, y, view.aim)
     back = jnp.where(hit, ground, back)
     for body in view.occluders:
-        met, (enter, _) = ray_sphere(x, y, *ray_offsets(body.aim, height, width), body.radius)
+        met, (enter, _) = ray_sphere(x, y, *ray_offsets(body.aim, column, row), body.radius)
         met &= _ahead(x, y, body.aim)
         back = jnp.where(met, jnp.minimum(back, enter + body.depth), back)
         hit |= met
@@ -125,14 +153,12 @@ def _ahead(x: AnyArray, y: AnyArray, aim: Aim) -> AnyArray:
 
 def bands(scene: Scene) -> Iterator[tuple[slice, View]]:
     """Rows of the picture from the top and the float64 view of each: what is asked of all pixels
-    then takes no more memory than the answer. The last band reaches back over the one before it,
-    so that all have one shape and share one compiled program."""
+    then takes no more memory than the answer."""
     camera = scene.camera
     rows = min(camera.height, max(1, BAND // camera.width))
-    view = view_of(scene).astype(jnp.float64)
+    view = view_of(scene)
     for start in range(0, camera.height, rows):
-        first = min(start, camera.height - rows)
-        yield slice(first, first + rows), view.from_pixel(0, first)
+        yield slice(start, min(start + rows, camera.height)), view.from_pixel(0, start)
 
 
 def limb_height(scene: Scene, dtype: DTypeLike = np.float64) -> Float[np.ndarray, "h w"]:
@@ -143,15 +169,9 @@ def limb_height(scene: Scene, dtype: DTypeLike = np.float64) -> Float[np.ndarray
     """
     camera, radius = scene.camera, float(scene.planet.radius)
     height = np.empty((camera.height, camera.width), dtype)
-    with jax.enable_x64(True):
-        for band, view in bands(scene):
-            height[band] = _limb_height(view, radius, band.stop - band.start, camera.width)
+    for band, view in bands(scene):
+        grid = pixel_grid(band.stop - band.start, camera.width, np.float64)
+        x, y = pixel_slopes(view, *grid)
+        squared, _ = squared_miss_distance(x, y, *ray_offsets(view.aim, *grid))
+        height[band] = (np.sqrt(squared) - 1.0) * radius
     return height
-
-
-@partial(jax.jit, static_argnames=("height", "width"))
-def _limb_height(view: View, radius: Scalar, height: int, width: int) -> Float[jax.Array, "h w"]:
-    x, y = pixel_slopes(view, height, width)
-    mx, my = ray_offsets(view.aim, height, width)
-    squared, _ = squared_miss_distance(x, y, mx, my)
-    return (jnp.sqrt(squared) - 1.0) * radius

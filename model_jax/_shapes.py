@@ -38,3 +38,8 @@ def namespace(*arrays: object) -> ModuleType:
     Lets host code keep float64 where JAX without x64 would silently round to float32.
     """
     return jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(arrays)) else np
+
+
+def is_traced(*arrays: object) -> bool:
+    """Whether any argument holds a tracer: a function is being transformed by JAX."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arrays))

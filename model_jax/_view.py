@@ -139,19 +139,18 @@ def _aim(camera: Camera, center: Float[AnyArray, "3"]) -> Aim:
     return Aim(slope, anchor, flip * slope * (anchor - middle) - center[:2], center)
 
 
-def pixel_slopes(view: View, height: int, width: int) -> tuple[AnyArray, AnyArray]:
-    """x and y of the rays `(x, y, 1)` through the pixel centres, [1, w] and [h, 1]."""
-    dtype = jnp.result_type(view.pixel)
-    x = view.pixel * (jnp.arange(width, dtype=dtype)[None, :] - view.principal[0])
-    y = view.pixel * (view.principal[1] - jnp.arange(height, dtype=dtype)[:, None])
-    return x, y
+def pixel_grid(height: int, width: int, dtype: DTypeLike) -> tuple[AnyArray, AnyArray]:
+    """Column and row index of all pixels, [1, w] and [h, 1], on the host."""
+    return np.arange(width, dtype=dtype)[None, :], np.arange(height, dtype=dtype)[:, None]
 
 
-def ray_offsets(aim: Aim, height: int, width: int) -> tuple[AnyArray, AnyArray]:
-    """mx and my at the pixel centres, [1, w] and [h, 1]."""
-    dtype = jnp.result_type(aim.slope)
-    column = jnp.arange(width, dtype=dtype)[None, :]
-    row = jnp.arange(height, dtype=dtype)[:, None]
+def pixel_slopes(view: View, column: AnyArray, row: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """x and y of the rays `(x, y, 1)` through the centres of pixels."""
+    return view.pixel * (column - view.principal[0]), view.pixel * (view.principal[1] - row)
+
+
+def ray_offsets(aim: Aim, column: AnyArray, row: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """mx and my of the rays through the centres of pixels."""
     mx = aim.slope * (column - aim.anchor[0]) + aim.offset[0]
     my = aim.slope * (aim.anchor[1] - row) + aim.offset[1]
     return mx, my

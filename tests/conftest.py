@@ -8,16 +8,22 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-import jax
-import numpy as np
-import pytest
-from jaxtyping import install_import_hook
+REPOSITORY = Path(__file__).resolve().parent.parent
+# What one worker or command has compiled the next one reads. JAX looks at these when imported.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(REPOSITORY / ".pytest_cache" / "xla"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+
+import jax  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+from jaxtyping import install_import_hook  # noqa: E402
 
 install_import_hook(["model_jax", "render_gl", "fit"], "beartype.beartype")
 # Shapes of different rank never meet by accident: [w] + [h, w] raises.
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-REPOSITORY = Path(__file__).resolve().parent.parent
+pytest_plugins = ["tests.resources"]
+
 SEED = 20240229
 
 

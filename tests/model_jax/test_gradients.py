@@ -214,11 +214,10 @@ def loss_of(scene: Scene, look: Look, dtype: np.dtype) -> jax.Array:
 gradients = eqx.filter_jit(jax.grad(loss_of, argnums=(0, 1)))
 
 
-SAMPLE = [
-    # Another image size is another compilation of some seconds, and nothing new to differentiate.
-    pytest.param(name, marks=pytest.mark.full if name in ("odd sizes", "one pixel") else ())
-    for name in SCENES
-]
+SLOW = ("odd sizes", "one pixel", "shadows overlap")
+"""Another image size is another compilation of some seconds, and nothing new to differentiate; of
+four shadows it takes half a minute and 2 GB."""
+SAMPLE = [pytest.param(name, marks=pytest.mark.full if name in SLOW else ()) for name in SCENES]
 
 
 @pytest.mark.parametrize("name", SAMPLE)
