@@ -41,7 +41,15 @@ class SourceOption(StrEnum):
     """Where layers come from."""
 
     raster = "raster"
+    mesh = "mesh"
     analytic = "analytic"
+
+
+class DrawnOption(StrEnum):
+    """How OpenGL finds depths."""
+
+    raster = "raster"
+    mesh = "mesh"
 
 
 class DepthOption(StrEnum):
@@ -58,7 +66,10 @@ class DepthOption(StrEnum):
 SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
 Source = Annotated[
-    SourceOption, typer.Option(help="Layers by OpenGL passes, or by exact intersection.")
+    SourceOption,
+    typer.Option(
+        help="Layers by OpenGL: each pixel's own ray (raster) or the paper's meshes; or by JAX."
+    ),
 ]
 Depth = Annotated[
     DepthOption,
@@ -106,7 +117,7 @@ def render(
     drawn = file.scene if size is None else _resized(file.scene, size)
     facts: dict[str, Any] = {"source": source.value}
     told, depth_format = source.value, "linear"
-    if source is SourceOption.raster:
+    if source is not SourceOption.analytic:
         choice = render_gl.choose_format(drawn, depth.value)
         depth_format = choice.depth_format
         facts |= {"depth": depth_format, "depth_error": choice.error, "reason": choice.reason}
@@ -246,6 +257,9 @@ def check(
         str | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for the three EXRs.")
     ] = None,
     depth: Depth = DepthOption.auto,
+    source: Annotated[
+        DrawnOption, typer.Option(help="Depths of each pixel's own ray, or the paper's meshes.")
+    ] = DrawnOption.raster,
     as_json: JsonOption = False,
 ) -> None:
     """Hold the OpenGL picture against JAX on the same layers, and the layers against exact ones."""
@@ -253,7 +267,7 @@ def check(
     folder = prepare_folder(out if out is not None else f"{file.path.stem}-check")
     with _steps() as step:
         step("drawing and comparing")
-        found = render_gl.check_scene(file.scene, file.look, depth.value)
+        found = render_gl.check_scene(file.scene, file.look, depth.value, source.value)
         step("writing")
         for name, picture in (
             ("glsl", found.parity.glsl),
@@ -346,10 +360,11 @@ def _check_paths(paths: list[str], layers: str | None) -> None:
 def _picture(
     scene: Scene, layers: Layers, look: Look, source: SourceOption, depth_format: str
 ) -> Any:
-    """The picture by the source's own combine: the shader's for raster, JAX's for analytic."""
-    if source is SourceOption.raster:
-        return render_gl.render_image(scene, look, depth_format)
-    return composite(layers, look)
+    """The picture by the source's own combine: JAX's for analytic, else the shader's."""
+    if source is SourceOption.analytic:
+        return composite(layers, look)
+    drawn: render_gl.Source = "mesh" if source is SourceOption.mesh else "raster"
+    return render_gl.render_image(scene, look, depth_format, drawn)
 
 
 def _resized(scene: Scene, size: str) -> Scene:

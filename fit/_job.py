@@ -45,7 +45,7 @@ from ._report import Section, photo_section, report_html
 from ._result import FitResult
 from ._solve import make_solver
 
-Source = Literal["raster", "analytic"]
+Source = Literal["raster", "mesh", "analytic"]
 FILES = ("fit.json", "report.html", "image.exr", "residual.exr", "layers.exr", "influence.exr")
 """What a fit of one photo leaves; the last only where a value was told."""
 DISTRIBUTIONS = ("airlight", "jax", "optimistix", "numpy", "moderngl", "OpenEXR")
@@ -202,9 +202,9 @@ def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
 
 def make_layers(scene: Scene, source: Source, depth_format: str) -> Layers:
     """Layers from the rasteriser or from exact intersection (which draws no relief, no albedo)."""
-    if source == "raster":
-        return render_gl.render(scene, depth_format)
-    return analytic_layers(scene, jnp.float32)
+    if source == "analytic":
+        return analytic_layers(scene, jnp.float32)
+    return render_gl.render(scene, depth_format, source)
 
 
 def versions() -> dict[str, str]:
@@ -256,7 +256,7 @@ def _document(
     job: Job, views: Sequence[View], result: FitResult, seconds: dict[str, float]
 ) -> dict[str, Any]:
     """The contents of fit.json, schema 2; what it says of a photo at the top is of the first."""
-    drawn = bool(job.scenes) and job.source == "raster"
+    drawn = bool(job.scenes) and job.source != "analytic"
     made = result.to_dict()
     about = [_about(view) for view in views]
     photos = [facts | told for facts, told in zip(about, made["photos"], strict=True)]

@@ -122,7 +122,10 @@ def print_check(console: Console, summary: dict[str, Any], scene: str, folder: s
         f"GLSL {worst['glsl']:.9g}, JAX {worst['jax']:.9g}, bound {_number(worst['bound'])}",
         highlight=False,
     )
-    _verdict(console, accuracy["passed"], "rasterised against exact widths (smooth sphere)")
+    title = f"{summary['source']} against exact widths (smooth sphere)"
+    if accuracy["compared"] == 0:
+        title += ": nothing could be compared, for no pixel off silhouettes has air"
+    _verdict(console, accuracy["passed"], title)
     table = Table(box=None, pad_edge=False, header_style="dim")
     for name in ("width error, scene units", "max", "99.9 %", "median", "predicted max", "median"):
         table.add_column(name, justify="left" if name.startswith("width") else "right")
@@ -132,9 +135,15 @@ def print_check(console: Console, summary: dict[str, Any], scene: str, folder: s
         table.add_row(name, *(_number(row[key]) for key in keys))
     console.print(table)
     console.print(
-        "predicted from tessellation, pixel grid, float32 transform and depth format; "
-        f"{accuracy['outside']} widths outside. Left out are {accuracy['silhouettes']:,} pixels on "
-        "silhouettes: a ray that just meets or misses a triangle may be wrong by the widest chord, "
+        f"{accuracy['compared']:,} widths compared; predicted from "
+        + (
+            "the roundings of float32 rays"
+            if summary["source"] == "raster"
+            else "tessellation, pixel grid, float32 transform"
+        )
+        + f" and depth format; {accuracy['outside']} widths outside. Left out are "
+        f"{accuracy['silhouettes']:,} pixels on silhouettes: a ray that just meets or misses a "
+        "body may be wrong by the widest chord, "
         f"{_number(accuracy['widest_chord'])}; the worst is by "
         f"{_number(accuracy['silhouette_max'])}",
         style="dim",

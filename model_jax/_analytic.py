@@ -147,6 +147,8 @@ def _ahead(x: AnyArray, y: AnyArray, aim: Aim) -> AnyArray:
 
     Both ends are then on one side, that of the centre. Depths would not tell for a camera on the
     ground: which side of it they are on is a matter of rounding.
+
+    Twin: `is_ahead` in `rays.glsl`.
     """
     return x * aim.center[0] + y * aim.center[1] + aim.center[2] > 0
 

@@ -23,6 +23,8 @@ def ray_sphere(
     Returns:
         `(hit, (enter, leave))`: hit is True where the ray's line cuts the sphere; a line that
         misses gets a zero-length interval at its closest approach, with gradient zero in radius.
+
+    Twin: `ray_sphere` in `rays.glsl`.
     """
     squared_distance, dd = squared_miss_distance(x, y, mx, my)
     discriminant = radius * radius - squared_distance
@@ -54,6 +56,8 @@ def ray_cone(x: AnyArray, y: AnyArray, mx: AnyArray, my: AnyArray, cone: ShadowC
 
     Returns:
         `(enter, leave)`; `enter > leave` where the ray stays outside.
+
+    Twin: `ray_cone` in `rays.glsl`.
     """
     dtype = jnp.result_type(x)
     far = jnp.asarray(jnp.finfo(dtype).max ** 0.25, dtype)  # "infinity" whose square still exists
@@ -102,7 +106,10 @@ def ray_cone(x: AnyArray, y: AnyArray, mx: AnyArray, my: AnyArray, cone: ShadowC
 
 
 def _half_line(intercept: AnyArray, rate: AnyArray, far: AnyArray) -> Interval:
-    """The τ with `intercept + rate τ ≤ 0`; empty as (far, -far)."""
+    """The τ with `intercept + rate τ ≤ 0`; empty as (far, -far).
+
+    Twin: `half_line` in `rays.glsl`.
+    """
     edge = safe_divide(-intercept, rate, 0.0)
     # Where the quotient leaves the range, the half-line is everything or nothing, as with rate 0.
     # Told by the rate: a compiler may form `intercept` twice, rounded differently, and one that is

@@ -44,6 +44,8 @@ def safe_divide(
     The naive form breaks at denominator = 0 (a ray along the shadow's cone), and also just beside
     it, where the quotient overflows to inf. The bound used is the square root of the largest
     number of the dtype, so that products of two such quotients stay finite.
+
+    Twin: `quotient` in `rays.glsl`.
     """
     xp = namespace(numerator, denominator)
     limit = jnp.finfo(xp.result_type(numerator, denominator)).max ** 0.5

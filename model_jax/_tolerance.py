@@ -30,8 +30,10 @@ class WidthRanges:
     """Least and greatest lit width."""
     dark: Range
     """Least and greatest shadowed width; zero without a sun."""
+    front: Float[np.ndarray, "h w"]
+    """Nearest beginning of the air, eye depth relative to the planet's centre."""
     back: Float[np.ndarray, "h w"]
-    """Deepest end of the air, eye depth relative to the planet's centre."""
+    """Deepest end of the air, likewise."""
     stretch: Float[np.ndarray, "h w"]
     """Of widths against eye depths: 1 unless they are lengths along rays."""
     silhouette: Bool[np.ndarray, "h w"]
@@ -49,7 +51,7 @@ def width_ranges(scene: Scene, inner: float, outer: float) -> WidthRanges:
     size = (scene.camera.height, scene.camera.width)
     radius = float(scene.planet.radius)
     lit, dark = np.empty((2, *size)), np.zeros((2, *size))
-    back, silhouette = np.empty(size), np.empty(size, bool)
+    front, back, silhouette = np.empty(size), np.empty(size), np.empty(size, bool)
     with jax.enable_x64(True):
         for band, view in bands(scene):
 
@@ -64,12 +66,13 @@ def width_ranges(scene: Scene, inner: float, outer: float) -> WidthRanges:
             least_dark, most_dark = met(outer, -inner, -inner), met(-inner, outer, outer)
             lit[0, band], lit[1, band] = dimmest.lit * radius, brightest.lit * radius
             dark[0, band], dark[1, band] = least_dark.dark * radius, most_dark.dark * radius
+            front[band] = np.minimum(brightest.front, most_dark.front) * radius
             back[band] = np.maximum(brightest.back, most_dark.back) * radius
             kinds = [m.kind for m in (brightest, dimmest, least_dark, most_dark)]
             silhouette[band] = np.any([kind != kinds[0] for kind in kinds], axis=(0, 1))
     stretch = ray_stretch(scene) if scene.atmosphere.path == "distance" else np.ones(size)
     lit, dark = lit * stretch, dark * stretch
-    return WidthRanges((lit[0], lit[1]), (dark[0], dark[1]), back, stretch, silhouette)
+    return WidthRanges((lit[0], lit[1]), (dark[0], dark[1]), front, back, stretch, silhouette)
 
 
 def shadows_in_view(scene: Scene) -> tuple[bool, ...]:
@@ -109,6 +112,7 @@ class _Met:
 
     lit: Float[np.ndarray, "h w"]
     dark: Float[np.ndarray, "h w"]
+    front: Float[np.ndarray, "h w"]
     back: Float[np.ndarray, "h w"]
     kind: Bool[np.ndarray, "k h w"]
     """Whether there is air, ground, and each shadow in the air."""
@@ -124,6 +128,7 @@ def _meet(view: View, height: int, width: int) -> _Met:
     return _Met(
         lit=np.asarray(lit),
         dark=np.zeros_like(lit) if dark is None else np.asarray(dark),
+        front=np.asarray(front),
         back=np.asarray(back),
         kind=np.stack([np.asarray(part) for part in kind]),
     )

@@ -145,12 +145,18 @@ def pixel_grid(height: int, width: int, dtype: DTypeLike) -> tuple[AnyArray, Any
 
 
 def pixel_slopes(view: View, column: AnyArray, row: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """x and y of the rays `(x, y, 1)` through the centres of pixels."""
+    """x and y of the rays `(x, y, 1)` through the centres of pixels.
+
+    Twin: `ray_direction` in `rays.glsl`.
+    """
     return view.pixel * (column - view.principal[0]), view.pixel * (view.principal[1] - row)
 
 
 def ray_offsets(aim: Aim, column: AnyArray, row: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """mx and my of the rays through the centres of pixels."""
+    """mx and my of the rays through the centres of pixels.
+
+    Twin: `ray_offset` in `rays.glsl`.
+    """
     mx = aim.slope * (column - aim.anchor[0]) + aim.offset[0]
     my = aim.slope * (aim.anchor[1] - row) + aim.offset[1]
     return mx, my

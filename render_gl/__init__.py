@@ -11,6 +11,8 @@ from ._depth_format import DEPTH_FORMATS as DEPTH_FORMATS
 from ._depth_format import Choice as Choice
 from ._depth_format import DepthFormat as DepthFormat
 from ._depth_format import choose_format as choose_format
+from ._draw import SOURCES as SOURCES
+from ._draw import Source as Source
 from ._exr import read_channels as read_channels
 from ._exr import write_channels as write_channels
 from ._files import write_whole as write_whole

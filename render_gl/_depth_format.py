@@ -28,8 +28,9 @@ SHARE = 1e-3
 """Share of the shell's height that depths may be wrong by, unless one asks for another."""
 
 EPS = float(np.finfo(np.float32).eps)
-WINDOW_ULP = 4
-"""Window depth is a quotient of interpolated numbers, scaled to [0, 1]: float32 ulp of 1 lost."""
+WINDOW_ULP = 9
+"""Window depth is a difference times a factor over an eye depth, at most 1: 4 roundings of ½ ulp,
+and a quotient of 2½."""
 LINEAR_ULP = 8
 """Of eye depth: three products and sums of the transform, interpolation, clamp and scaling."""
 

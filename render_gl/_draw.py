@@ -6,27 +6,33 @@
     4 back faces of the shell of air   → PlAtDepth         depth texture, tested against the planet
     5 front faces of the shell         → air, and the depths that the shader saw
 
+Depths come from one of two sources. "raster": a coarse mesh around each body bounds the pixels, and
+the shader finds where their rays meet sphere or cone, so that layers are as exact as float32. What
+is drawn is the mesh's far side, which lies before the camera wherever the camera is. "mesh": the
+paper's own, the depths of finely tessellated faces. Ground with relief is a mesh in both.
+
 How depths are stored is the format's business (`_depth_format`). Passes 1 and 2 are drawn for the
 shadows in which there is air in view; occluders are drawn with the planet, which they may hide. The
 depths of all shadows share one texture, one above the other, so that there may be any number of
-them. What
-the combine shader read is written out by shaders, so that JAX recombines the very same numbers.
+them. What the combine shader read is written out by shaders, so that JAX recombines the very same
+numbers.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
 
 from model_jax import DriverError, InputError, Look, Scene, shadows_in_view, view_of
+from model_jax._view import Aim, ShadowCone
 
 from ._context import gl_context
 from ._depth_format import STORAGE, DepthFormat, Storage
 from ._maps import load_albedo, load_relief
 from ._mesh import Mesh, cone_mesh, sphere_mesh
 from ._shaders import program
-from ._uniforms import defines_of, plane_codes, uniforms_of
+from ._uniforms import aim_uniforms, cone_uniforms, defines_of, plane_codes, uniforms_of
 
 if TYPE_CHECKING:
     import moderngl
@@ -40,7 +46,16 @@ BAND = 2**20
 that beside the images themselves there is never more of them than of a small picture."""
 
 SHADOW_MARGIN = 1.01
-"""The cone is drawn to this many shell radii from the planet's centre; beyond is no air."""
+"""The cone's mesh reaches this many shell radii from the planet's centre; beyond is no air."""
+
+COVER_TRIANGLES = 5120
+"""Of the mesh that bounds a sphere's pixels: it is 0.12 % wider than the sphere."""
+
+COVER_PIXELS = 1 / 16
+"""More that it is wider: vertices are snapped to 1/16 pixel at worst (OpenGL 4.6, table 23.54)."""
+
+Source = Literal["raster", "mesh"]
+SOURCES: tuple[Source, ...] = get_args(Source)
 
 
 @dataclass(frozen=True)
@@ -61,16 +76,18 @@ class Frame:
     """1 where the planet was drawn."""
 
 
-def draw(scene: Scene, look: Look, depth_format: DepthFormat) -> Frame:
+def draw(scene: Scene, look: Look, depth_format: DepthFormat, source: Source = "raster") -> Frame:
     """Draw a scene.
 
     Raises `DriverError` when there is no driver or it fails, `InputError` for a picture, texture or
-    number of shadows beyond the driver's limit, and unreadable maps.
+    number of shadows beyond the driver's limit, unreadable maps, and an unknown source.
     """
+    if source not in SOURCES:
+        raise InputError(f"source {source!r} is unknown; use one of {', '.join(SOURCES)}")
     context = gl_context()
     _check_size(context, "camera", scene.camera.width, scene.camera.height)
     try:
-        frame = _Passes(context, scene, look, STORAGE[depth_format]).run()
+        frame = _Passes(context, scene, look, STORAGE[depth_format], source).run()
     finally:
         context.gc()  # so that a thousand renders need no more memory than one
     if (error := context.error) != "GL_NO_ERROR":
@@ -95,7 +112,12 @@ class _Passes:
     """The textures and the state of one drawing, and its passes in order."""
 
     def __init__(
-        self, context: "moderngl.Context", scene: Scene, look: Look, storage: Storage
+        self,
+        context: "moderngl.Context",
+        scene: Scene,
+        look: Look,
+        storage: Storage,
+        source: Source,
     ) -> None:
         self.context: Any = context  # its stub mistypes blend_equation
         self.scene, self.storage = scene, storage
@@ -103,13 +125,21 @@ class _Passes:
         """Of a band."""
         self.bottom = 0
         """Rows of the picture below it."""
-        self.cones = _shadow_cones(scene)
+        self.exact = source == "raster"
+        self.view = view_of(scene)
+        cones = zip(self.view.cones, shadows_in_view(scene), strict=True)
+        self.cones = [cone for cone, seen in cones if seen]
+        """Shadows with air in view."""
         self.uniforms = uniforms_of(scene, look, storage.encoding)
         self.near, self.empty = plane_codes(scene, storage.encoding)
         self.defines = defines_of(scene, storage, len(self.cones))
-        mesh = sphere_mesh(scene.planet.triangles)
+        self.fine = scene.planet.relief is not None or not self.exact
+        """Whether the ground's mesh is its shape."""
+        mesh = sphere_mesh(scene.planet.triangles if self.fine else COVER_TRIANGLES)
         self.sphere, self.inner_radius = self._upload(mesh), mesh.inner_radius
-        self.shell = float(1 + scene.atmosphere.height / scene.planet.radius)
+        cover = sphere_mesh(COVER_TRIANGLES)
+        self.cover, self.cover_radius = self._upload(cover), cover.inner_radius
+        self.shell = float(self.view.shell)
         self.position = np.asarray(scene.camera.position) / float(scene.planet.radius)
 
     @property
@@ -145,6 +175,10 @@ class _Passes:
                 surface[band] = drawn[..., :3]
             planet[band] = drawn[..., 3]
             self.context.gc()
+        if not self.exact:
+            # What the combine shader does with a back that has no front (see there).
+            nearer = np.maximum if self.storage.encoding == "reversed" else np.minimum
+            shadows[:, 0] = nearer(shadows[:, 0], shadows[:, 1])
         return Frame(air, front, back, shadows, surface, planet)
 
     def _band_rows(self) -> int:
@@ -161,28 +195,37 @@ class _Passes:
         return rows
 
     def shadow(self) -> Any:
-        """Passes 1 and 2. A cone is convex: each ray meets one back and one front face at most.
-
-        A camera inside sees no front face; its shadow begins at the near plane.
-        """
+        """Passes 1 and 2. A cone is convex: each ray enters and leaves it once at most."""
         width, rows = self.size
         atlas = self._depth_texture(rows * 2 * len(self.cones))
         target = self._depth_only(atlas)
-        self._state("back", test=not self.colored)
-        for k, (mesh, inside) in enumerate(self.cones):
-            cone = self._upload(mesh)
-            for end, culled in ((0, "back"), (1, "front")):
+        for k, cone in enumerate(self.cones):
+            for end in (0, 1):
                 tile = (2 * k + end) * rows
                 target.viewport = (0, tile - self.bottom, width, self.scene.camera.height)
                 target.scissor = (0, tile, width, rows)
                 target.use()
-                self.context.cull_face = culled
-                if end == 0 and inside:
-                    self._clear(target, self.near)
-                    continue
-                self._volume(cone, "depth.frag")
+                if self.exact:
+                    # Air is within the shell only, and so the shell bounds each shadow's pixels.
+                    given: dict[str, Any] = cone_uniforms(cone) | {"leaving": end == 1}
+                    given |= {"first_row": self.bottom - tile}
+                    self._bounded(
+                        "depth.frag", self.view.aim, self.shell, defines={"CONE": 1}, **given
+                    )
+                else:
+                    self._cone_faces(target, cone, end)
         target.scissor = None
         return atlas
+
+    def _cone_faces(self, target: Any, cone: ShadowCone, end: int) -> None:
+        """The mesh's front or back faces. A camera inside sees no front face; its shadow begins at
+        the near plane."""
+        mesh, inside = _cone_mesh(self.scene, cone)
+        if end == 0 and inside:
+            self._clear(target, self.near)
+            return
+        self._state("front" if end else "back", test=not self.colored)
+        self._volume(self._upload(mesh), "depth.frag")
 
     def planet(self, maps: dict[str, Any]) -> tuple[Any, Any]:
         """Pass 3: surface colour, and the depth texture that pass 4 goes on with."""
@@ -196,16 +239,29 @@ class _Passes:
             target.clear(depth=1.0)
         target.use()
         self._state("back", test=True)
-        units = {}
+        units: dict[str, Any] = {}
         for unit, (name, texture) in enumerate(maps.items()):
             texture.use(unit)  # combine has bound others since the last band
             units[name] = unit
-        self._render(self.sphere, program("planet.vert", "planet.frag", self.defines), **units)
+        if self.fine:
+            self._render(self.sphere, program("planet.vert", "planet.frag", self.defines), **units)
+        else:
+            self._bounded("planet.frag", self.view.aim, 1.0, test=True, **units)
         radius = float(self.scene.planet.radius)
         basis = np.asarray(self.scene.camera.basis())
-        for body in self.scene.occluders:
-            center = basis @ np.asarray(body.center) / radius
-            self._volume(self.sphere, "body.frag", float(body.radius) / radius, tuple(center))
+        for body, seen in zip(self.scene.occluders, self.view.occluders, strict=True):
+            center, size = tuple(basis @ np.asarray(body.center) / radius), float(seen.radius)
+            if self.exact:
+                self._bounded(
+                    "body.frag",
+                    seen.aim,
+                    size,
+                    test=True,
+                    origin=center,
+                    center_offset=center[2],
+                )
+            else:
+                self._volume(self.sphere, "body.frag", size, center)
         return surface, depth
 
     def shell_back(self, depth: Any) -> None:
@@ -218,29 +274,29 @@ class _Passes:
             self.context.enable(moderngl.BLEND)
             is_reversed = self.storage.encoding == "reversed"
             self.context.blend_equation = moderngl.MAX if is_reversed else moderngl.MIN
-        self._volume(self.sphere, "depth.frag", self.shell)
+        if self.exact:
+            self._bounded("depth.frag", self.view.aim, self.shell, blended=True, leaving=True)
+        else:
+            self._volume(self.sphere, "depth.frag", self.shell)
         self.context.blend_equation = moderngl.FUNC_ADD
 
     def combine(self, behind: Any, atlas: Any | None) -> tuple[Any, Any, Any]:
-        """Pass 5: the combine shader over the shell's front, or the screen for a camera inside."""
+        """Pass 5: the combine shader over the shell, or the screen for a camera inside its mesh."""
         air = self.context.texture(self.size, 4, dtype="f4")
         depths = [self.context.texture(self.size, 1, dtype="f4") for _ in range(2)]
         self.context.framebuffer([air]).clear()
         self.context.framebuffer(depths).clear(*[self.empty] * 4)
         self._target([air, *depths]).use()
-        camera = self.scene.camera
-        units: dict[str, Any] = {
-            "planet_atmosphere": 0,
-            "band_rows": self.size[1],
-            "principal": (camera.width / 2, camera.height / 2 - self.bottom),
-        }
+        units: dict[str, Any] = {"planet_atmosphere": 0, "band_rows": self.size[1]}
         self._bind(behind, 0)
         if atlas is not None:
             self._bind(atlas, 1)
             units["shadow_depths"] = 1
         self._state("back", test=False)
         # Inside the mesh, not just the sphere: every ray then has a back face, and no front.
-        if np.linalg.norm(self.position) <= self.shell * self.inner_radius:
+        if self.exact:
+            self._bounded("combine.frag", self.view.aim, self.shell, **units)
+        elif np.linalg.norm(self.position) <= self.shell * self.inner_radius:
             self._screen("combine.frag", **units)
         else:
             self._volume(self.sphere, "combine.frag", self.shell, **units)
@@ -318,6 +374,39 @@ class _Passes:
         shader = program("volume.vert", fragment, self.defines)
         self._render(geometry, shader, size=size, origin=origin, **more)
 
+    def _bounded(
+        self,
+        fragment: str,
+        aim: Aim,
+        radius: float,
+        *,
+        defines: dict[str, int] | None = None,
+        test: bool | None = None,
+        blended: bool = False,
+        **more: Any,
+    ) -> None:
+        """Run a shader where rays may meet a sphere: on the far side of a mesh around it.
+
+        A camera in or near the mesh gets a larger one, for all of its rays must meet the far side.
+        """
+        if not blended:
+            self._state("front", test=not self.colored if test is None else test)
+        distance = float(np.linalg.norm(aim.center))
+        size = (radius + COVER_PIXELS * self._footprint(distance + radius)) / self.cover_radius
+        if distance < 1.1 * size:
+            size = 1.2 * distance / self.cover_radius + size
+        shader = program("volume.vert", fragment, self.defines | (defines or {}) | {"EXACT": 1})
+        found = aim_uniforms(self.scene.camera, aim, radius) | {"first_row": self.bottom}
+        found |= {"origin": (0.0, 0.0, 0.0), "size": size}
+        self._render(self.cover, shader, **(found | more))
+
+    def _footprint(self, distance: float) -> float:
+        """What a pixel covers at a distance, planet radii; no ray is longer than the diagonal's."""
+        camera = self.scene.camera
+        pixel = float(camera.pixel_size())
+        slope = pixel * np.hypot(camera.width, camera.height) / 2
+        return float(pixel * distance * (1 + slope**2))
+
     def _screen(self, fragment: str, **more: Any) -> None:
         shader = program("screen.vert", fragment, self.defines)
         assign_uniforms(shader, self.uniforms | more)
@@ -330,33 +419,27 @@ class _Passes:
         self.context.vertex_array(shader, content, triangles).render()
 
 
-def _shadow_cones(scene: Scene) -> list[tuple[Mesh, bool]]:
-    """Shadows with air in view: what of a cone can lie in the air, and whether the camera is in it.
+def _cone_mesh(scene: Scene, cone: ShadowCone) -> tuple[Mesh, bool]:
+    """What of a cone can lie in the air, and whether the camera is in it.
 
     In world axes and planet radii. Occluders may be sixty radii away: cones are cut where the air
     ends on either side.
     """
-    if scene.sun is None:
-        return []
-    drawn = []
+    assert scene.sun is not None
     basis, toward = np.asarray(scene.camera.basis()), np.asarray(scene.sun.direction)
     reach = SHADOW_MARGIN * float(1 + scene.atmosphere.height / scene.planet.radius)
-    for seen, cone in zip(shadows_in_view(scene), view_of(scene).cones, strict=True):
-        if not seen:
-            continue
-        middle = np.asarray(cone.center) @ basis
-        tangent, radius = float(cone.tangent), float(cone.radius)
-        first, last = min(float(cone.base), reach), -reach
-        if tangent > 0:
-            last = max(last, -radius / tangent)
-        ends = (middle + first * toward, middle + last * toward)
-        mesh = cone_mesh(toward, ends, (radius + tangent * first, max(radius + tangent * last, 0)))
-        offset = np.asarray(scene.camera.position) / float(scene.planet.radius) - middle
-        along = float(offset @ toward)
-        across = float(np.linalg.norm(offset - along * toward))
-        inside = last < along < first and across < radius + tangent * along
-        drawn.append((mesh, inside))
-    return drawn
+    middle = np.asarray(cone.center) @ basis
+    tangent, radius = float(cone.tangent), float(cone.radius)
+    first, last = min(float(cone.base), reach), -reach
+    if tangent > 0:
+        last = max(last, -radius / tangent)
+    ends = (middle + first * toward, middle + last * toward)
+    mesh = cone_mesh(toward, ends, (radius + tangent * first, max(radius + tangent * last, 0)))
+    offset = np.asarray(scene.camera.position) / float(scene.planet.radius) - middle
+    along = float(offset @ toward)
+    across = float(np.linalg.norm(offset - along * toward))
+    inside = last < along < first and across < radius + tangent * along
+    return mesh, inside
 
 
 def _upload_maps(context: "moderngl.Context", scene: Scene) -> dict[str, Any]:

@@ -6,16 +6,18 @@ from model_jax import DepthTextures, Layers, Look, Scene, eye_center, ray_stretc
 from model_jax._shapes import Rgba
 
 from ._depth_format import STORAGE, DepthFormat, choose_format
-from ._draw import Frame, draw
+from ._draw import Frame, Source, draw
 
 
-def render(scene: Scene, depth_format: str = "auto") -> Layers:
+def render(scene: Scene, depth_format: str = "auto", source: Source = "raster") -> Layers:
     """Depth layers of a scene by the paper's five passes.
 
     Args:
         scene: what is looked at.
         depth_format: how depths are stored; "auto" takes the cheapest format that is exact to a
             thousandth of the shell's height (`choose_format` tells which and why).
+        source: "raster" finds depths on each pixel's own ray, exact to float32; "mesh" takes those
+            of the meshes, as the paper does.
 
     Returns:
         float32 layers [h, w] with the planet's mask, and `surface` when the planet has an albedo;
@@ -25,16 +27,18 @@ def render(scene: Scene, depth_format: str = "auto") -> Layers:
         DriverError: no usable OpenGL. InputError: what cannot be drawn, by name.
     """
     depth_format = choose_format(scene, depth_format).depth_format
-    return frame_layers(scene, draw(scene, Look(), depth_format), depth_format)
+    return frame_layers(scene, draw(scene, Look(), depth_format, source), depth_format)
 
 
-def render_image(scene: Scene, look: Look, depth_format: str = "auto") -> Rgba:
+def render_image(
+    scene: Scene, look: Look, depth_format: str = "auto", source: Source = "raster"
+) -> Rgba:
     """The picture by OpenGL: surface + air + background, linear light [h, w, 4] float32.
 
     The air is the combine shader's own output; adding the rest is the frame buffer's part. Alpha is
     1 in front of the planet, the air's where there is air, else 0. Raises as `render`.
     """
-    frame = draw(scene, look, choose_format(scene, depth_format).depth_format)
+    frame = draw(scene, look, choose_format(scene, depth_format).depth_format, source)
     rgb = frame.air[..., :3] + np.asarray(look.background, np.float32)
     if frame.surface is not None:
         rgb += frame.surface

@@ -20,6 +20,8 @@ DEFINES = frozenset(
     {
         "ALBEDO",
         "COLOR_DEPTH",
+        "CONE",
+        "EXACT",
         "LINEAR",
         "OCCLUDERS",
         "RELIEF",

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from model_jax import Encoding, Look, Scene, Sun, depth_constants, eye_center
+from model_jax import Camera, Encoding, Look, Scene, Sun, depth_constants, eye_center
+from model_jax._view import Aim, ShadowCone
 
 from ._depth_format import Storage
 
@@ -27,9 +28,12 @@ def uniforms_of(scene: Scene, look: Look, encoding: Encoding) -> dict[str, Any]:
         "eye_reference": (center[2], near / radius),
         "body_depths": _body_depths(scene, near / radius - center[2]),
         "reversed_factor": near / (far - near),
+        "window_factor": far / (far - near),
         "depth_constants": depth_constants(near, far, encoding == "reversed"),
         "width_unit": far - near,
         "pixel_size": float(camera.pixel_size()),
+        "principal": (camera.width / 2, camera.height / 2),
+        "first_row": 0.0,
         "brightness": float(look.brightness),
         "shadow": tuple(np.broadcast_to(look.shadow, 3)),
         "tint": tuple(np.asarray(look.tint)),
@@ -38,6 +42,30 @@ def uniforms_of(scene: Scene, look: Look, encoding: Encoding) -> dict[str, Any]:
         "sun": (0.0, 0.0, 0.0) if scene.sun is None else tuple(np.asarray(scene.sun.direction)),
         "sun_tangent": 0.0 if scene.sun is None else _tangent(scene.sun),
         "occluders": [(*np.asarray(o.center) / radius, o.radius / radius) for o in scene.occluders],
+    }
+
+
+def aim_uniforms(camera: Camera, aim: Aim, radius: float) -> dict[str, Any]:
+    """How rays pass a sphere, for `rays.glsl`: `model_jax._view`'s numbers, rows from below."""
+    column, row = aim.anchor
+    return {
+        "anchor": (column + 0.5, camera.height - 0.5 - row),
+        "aim": (aim.slope, *aim.offset),
+        "body_center": tuple(aim.center),
+        "body_radius": radius,
+    }
+
+
+def cone_uniforms(cone: ShadowCone) -> dict[str, Any]:
+    """A shadow, for `rays.glsl`: `model_jax._view`'s numbers."""
+    limit = float(np.finfo(np.float32).max)
+    return {
+        "cone_axes": tuple(np.reshape(cone.axes, -1)),  # its rows are GL's columns
+        "cone_tangent": float(cone.tangent),
+        "cone_center": tuple(cone.center),
+        "cone_shape": (float(cone.radius), float(cone.base)),
+        "unbounded": limit**0.25,
+        "quotients": limit**0.5,
     }
 
 

@@ -1,14 +1,20 @@
 #version 330
-// Pass 3: Lambert-lit albedo, and coverage 1 in alpha. COLOR_DEPTH adds the depth; ALBEDO, RELIEF
-// and SUN say what the scene has, OCCLUDERS how many. Without a sun the albedo is shown as it is.
+// Pass 3: Lambert-lit albedo, and coverage 1 in alpha. EXACT: the pixel's ray meets the ground, of
+// which the mesh only bounds the pixels. COLOR_DEPTH adds the depth; ALBEDO, RELIEF and SUN say what
+// the scene has, OCCLUDERS how many. Without a sun the albedo is shown as it is.
 
 #include "sphere_map.glsl"
-
+#ifdef EXACT
+#include "rays.glsl"
+uniform mat3 basis;  // world -> eye axes
+#else
 in vec3 direction;
+in float mesh_depth;
+#endif
+#include "depth_code.glsl"
 
 layout(location = 0) out vec4 surface;
 #ifdef COLOR_DEPTH
-#include "depth_code.glsl"
 layout(location = 1) out float depth;
 #endif
 
@@ -69,7 +75,15 @@ bool eclipsed(vec3 ground) {
 #endif
 
 void main() {
+#ifdef EXACT
+    bool hit;
+    vec2 d = ray_direction(), m = ray_offset();
+    float met = ray_sphere(d, m, hit).x;
+    vec3 at = normalize(vec3(m + met * d, met) * basis);
+#else
+    float met = mesh_depth;
     vec3 at = normalize(direction);
+#endif
     vec3 light = vec3(0.0);
 #ifdef ALBEDO
     light = surface_albedo(at);
@@ -81,10 +95,17 @@ void main() {
 #endif
 #endif
     surface = vec4(light, 1.0);
+#ifdef EXACT
+    // Only now: the texture's derivatives need the pixels beside the limb.
+    if (!hit || !is_ahead(d)) discard;
+#ifndef COLOR_DEPTH
+    gl_FragDepth = coded_depth(met);
+#endif
+#endif
 #ifdef COLOR_DEPTH
-    depth = coded_depth();
+    depth = coded_depth(met);
 #ifdef SORTED
-    gl_FragDepth = sorting_depth();
+    gl_FragDepth = sorting_depth(met);
 #endif
 #endif
 }

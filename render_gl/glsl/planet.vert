@@ -5,7 +5,7 @@
 #include "sphere_map.glsl"
 
 in vec3 position;
-out float relative_depth;
+out float mesh_depth;
 out vec3 direction;
 
 #ifdef RELIEF
@@ -24,6 +24,6 @@ float ground_radius(vec3 at) {
 void main() {
     direction = position;
     vec3 eye = eye_position(ground_radius(position) * position);
-    relative_depth = eye.z;
+    mesh_depth = eye.z;
     gl_Position = clip_position(eye);
 }

@@ -6,10 +6,10 @@
 uniform float size;   // factor on the mesh: the radius of a sphere, or 1
 uniform vec3 origin;  // of the mesh in eye axes, relative to the planet's centre
 in vec3 position;
-out float relative_depth;
+out float mesh_depth;
 
 void main() {
     vec3 eye = eye_position(size * position) + origin;
-    relative_depth = eye.z;
+    mesh_depth = eye.z;
     gl_Position = clip_position(eye);
 }

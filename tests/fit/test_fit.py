@@ -159,6 +159,7 @@ def test_the_end_is_judged_by_what_a_step_promises(
     assert _is_settled(problem, gram, along) == (promise < 1)
 
 
+@pytest.mark.full
 def test_standard_errors_are_those_of_repetition(layers: Layers) -> None:
     """Over 200 noisy photos the scatter is what the standard errors say.
 

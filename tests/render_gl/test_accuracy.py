@@ -11,7 +11,7 @@ from render_gl._accuracy import displacement, measure_accuracy, predict_accuracy
 from render_gl._depth_format import EPS, choose_format
 from render_gl._mesh import cone_mesh, sphere_mesh
 
-from ..model_jax.scenes import ANYWHERE, EXTREMES, LENGTHS
+from ..model_jax.scenes import ANYWHERE, EXTREMES, LENGTHS, scene_of
 from .test_parity import SCENES
 
 STEPPED = {
@@ -23,20 +23,27 @@ STEPPED = {
 """The paper's Fig. 12: where window depths are coarse, up to half the widest chord."""
 
 
+LOOSENESS = {"raster": 120, "mesh": 10}
+"""How many times the largest error a prediction may be, over a picture of thousands of pixels. A
+ray's is a sum of some thirty roundings at their worst, all to one side, and for the widest angle in
+the picture: in practice a tenth to a hundredth of it is met."""
+
+
 @pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
 @pytest.mark.parametrize("name", SCENES | STEPPED)
-def test_rasterised_widths_are_as_predicted(name: str, depth_format: str) -> None:
+@pytest.mark.parametrize("source", render_gl.SOURCES)
+def test_rasterised_widths_are_as_predicted(name: str, depth_format: str, source: str) -> None:
     """Every width is within its bound; and what is said of the scene, before it is drawn, is no
-    more than ten times what is found."""
+    excuse for more."""
     case = (SCENES | STEPPED)[name]
-    accuracy = measure_accuracy(case, depth_format)
+    accuracy = measure_accuracy(case, depth_format, source)
     assert accuracy.passed, accuracy.summary()
-    predicted = predict_accuracy(case, depth_format).error
+    predicted = predict_accuracy(case, depth_format, source).error
     assert predicted == accuracy.predicted.error
     assert accuracy.largest <= predicted <= accuracy.predicted.chord
     assert accuracy.largest > 4 * EPS * accuracy.predicted.chord
-    assert predicted <= 10 * accuracy.largest
-    assert np.isfinite(accuracy.measured).sum() >= 1e4
+    assert predicted <= LOOSENESS[source] * accuracy.largest
+    assert accuracy.compared >= 1e4
     assert accuracy.predicted.silhouette.mean() < 0.02
 
 
@@ -45,13 +52,78 @@ def test_cameras_anywhere_see_the_right_widths(name: str) -> None:
     """On and above the ground, in the shadow, looking along it: in the format the scene gets."""
     case = (ANYWHERE | EXTREMES | LENGTHS)[name]
     case = eqx.tree_at(lambda s: s.camera, case, case.camera.resized(320, 240))
-    accuracy = measure_accuracy(case, choose_format(case).depth_format)
-    assert accuracy.passed, accuracy.summary()
-    predicted = accuracy.predicted
-    assert accuracy.largest <= predicted.error
-    known = np.isfinite(accuracy.measured).any(axis=0) & ~predicted.silhouette
-    if known.sum() >= 1e4 and accuracy.largest > 4 * EPS * predicted.chord:
-        assert predicted.error <= 10 * accuracy.largest
+    for source in render_gl.SOURCES:
+        if source == "mesh" and name not in EXTREMES | LENGTHS:
+            continue
+        accuracy = measure_accuracy(case, choose_format(case).depth_format, source)
+        assert accuracy.outside == 0, accuracy.summary()
+        assert accuracy.passed == (accuracy.compared > 0)
+        assert accuracy.largest <= accuracy.predicted.error
+
+
+def test_rays_are_as_exact_as_float32_and_meshes_are_not() -> None:
+    """What a fit's bias is made of: over the picture, and not just where it is worst."""
+    case = SCENES["sun (1, -1, 1)"]
+    ray, mesh = (measure_accuracy(case, "linear", source) for source in render_gl.SOURCES)
+    # A mesh of 196,020 triangles lies 3e-5 radii inside, float32 rounds to 6e-8: the ratio of 500
+    # is that of widths off the limb; at the limb both grow as roots of it.
+    for row in ("lit", "dark"):
+        assert mesh.summary()[row]["median"] > 50 * ray.summary()[row]["median"]
+    assert ray.largest < 2e-5 * 6371
+    assert mesh.largest > 2e-3 * 6371
+
+
+@pytest.mark.parametrize("source", render_gl.SOURCES)
+@pytest.mark.parametrize("name", SCENES)
+def test_a_shadow_has_both_ends_or_none(name: str, source: str) -> None:
+    """A back drawn where no front is made widths of -854 km (a stray pixel in 1 of 40 scenes)."""
+    layers = render_gl.render(SCENES[name], "linear", source)
+    if layers.shadow_front is None:
+        return
+    assert np.any(layers.shadow_back > layers.shadow_front)
+    assert float(np.min(layers.shadow_back - layers.shadow_front)) >= 0
+    _, dark = layer_widths(layers)
+    assert float(np.min(dark)) >= 0
+
+
+def random_scene(rng: np.random.Generator) -> Scene:
+    """A camera anywhere outside the planet that looks about at it, with a sun and any shell."""
+    distance = 1 + 10 ** rng.uniform(-1.5, 1.5)
+    place = rng.normal(size=3)
+    place *= distance / np.linalg.norm(place)
+    target = rng.normal(scale=0.4, size=3)
+    return scene_of(
+        tuple(place),
+        tuple(target),
+        tuple(rng.normal(size=3)),
+        fov=float(np.clip(np.rad2deg(2.6 / distance) * rng.uniform(0.3, 1.2), 1, 120)),
+        shell=float(10 ** rng.uniform(-2.5, -0.3)),
+        angular_radius=float(rng.choice([0.0, 0.27, 5.0])),
+        path=str(rng.choice(["depth", "distance"])),
+    )
+
+
+SIZES = ((333, 217), (640, 480), (101, 67), (1024, 768), (240, 180))
+
+
+@pytest.mark.parametrize(
+    "count", [8, pytest.param(200, marks=[pytest.mark.full, pytest.mark.timeout(3600)])]
+)
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
+def test_random_scenes_hold_their_bounds(size: tuple[int, int], count: int) -> None:
+    """No width is off by more than its bound, nor below minus it, in any of the scenes."""
+    compared = 0
+    for child in np.random.SeedSequence((20261126, *size)).spawn(count):
+        case = random_scene(np.random.default_rng(child))
+        case = eqx.tree_at(lambda s: s.camera, case, case.camera.resized(*size))
+        accuracy = measure_accuracy(case, "linear")
+        assert accuracy.outside == 0, (case, accuracy.summary())
+        compared += accuracy.compared > 0
+        for width in layer_widths(render_gl.render(case, "linear")):
+            if width is not None:
+                least = float(np.min(width)) * float(case.camera.far - case.camera.near)
+                assert least >= -float(np.max(accuracy.predicted.bound))
+    assert compared > count / 2
 
 
 def test_a_finer_mesh_is_predicted_and_found() -> None:
@@ -59,6 +131,7 @@ def test_a_finer_mesh_is_predicted_and_found() -> None:
         measure_accuracy(
             eqx.tree_at(lambda s: s.planet, SCENES["no sun"], Planet(6371.0, triangles=count)),
             "linear",
+            "mesh",
         )
         for count in (5_000, 500_000)
     )
@@ -75,7 +148,7 @@ def test_an_edge_on_facet_is_no_false_alarm() -> None:
     camera = Camera(position, np.negative(position), [0, -0.5, 1], 50, 160, 120, 8100, 21050)
     case = Scene(camera, case.planet, Atmosphere(300.0), case.sun)
     for depth_format in render_gl.DEPTH_FORMATS:
-        accuracy = measure_accuracy(case, depth_format)
+        accuracy = measure_accuracy(case, depth_format, "mesh")
         assert accuracy.passed, accuracy.summary()
         assert np.mean(accuracy.predicted.silhouette) < 0.05
 
@@ -92,7 +165,7 @@ def test_clip_planes_through_the_scene_clamp_alike(near: float, far: float) -> N
 
 def test_prediction_is_no_excuse() -> None:
     """Half the median prediction is really used up: the bound is not just large."""
-    accuracy = measure_accuracy(SCENES["sun (1, -1, 1)"], "linear")
+    accuracy = measure_accuracy(SCENES["sun (1, -1, 1)"], "linear", "mesh")
     lit = accuracy.summary()["lit"]
     assert lit["predicted_median"] <= 20 * lit["median"]
 
@@ -102,9 +175,10 @@ def test_a_wrong_radius_is_found(monkeypatch) -> None:
     case = SCENES["sun (1, -1, 1)"]
     original = render_gl._accuracy.render
 
-    def wrong(scene: Scene, depth_format: str):
+    def wrong(scene: Scene, depth_format: str, source: str):
         height = scene.atmosphere.height + 0.001 * scene.planet.radius
-        return original(eqx.tree_at(lambda s: s.atmosphere.height, scene, height), depth_format)
+        scene = eqx.tree_at(lambda s: s.atmosphere.height, scene, height)
+        return original(scene, depth_format, source)
 
     monkeypatch.setattr(render_gl._accuracy, "render", wrong)
     assert not measure_accuracy(case, "linear").passed
