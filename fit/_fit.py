@@ -72,6 +72,7 @@ from ._uncertainty import (
     residuals_of,
     rounding_bound,
     spread_of,
+    width_slopes_of,
 )
 
 MAX_STEPS = {"nelder_mead": 4096}
@@ -515,6 +516,7 @@ def _judge(
     spread: Spread | None = None
     covariance = np.zeros((0, 0))
     bias: list[float | None] = [None] * len(told)
+    drawn: list[float | None] = [None] * len(told)
     reach = np.zeros(len(told))
     evidence = None
     noise = np.nan
@@ -536,7 +538,7 @@ def _judge(
         rows = evidence.to_told()
         covariance = rows @ spread.covariance @ rows.T
         reach = reach_95(spread.freedom(rows))
-        bias = _bias(evidence, rows)
+        bias, drawn = _bias(evidence, rows), _drawn(evidence, rows)
         undone = _undone(evidence, residuals, noise)
         if undone is not None:
             vector = end.vector + along @ undone.shift
@@ -559,6 +561,7 @@ def _judge(
             stderr=None if k is None else float(stderr[k]),
             reach=None if k is None else float(reach[k] * stderr[k]),
             bias=None if k is None else bias[k],
+            drawn=None if k is None else drawn[k],
             undone=None if k is None or undone is None else float(p.of(vector - end.vector)),
         )
     responses = to_responses(vector)
@@ -640,11 +643,32 @@ def _bias(evidence: Evidence, rows: Float[np.ndarray, "t p"]) -> list[float | No
         if isinstance(photo, Photo) and photo.codes is not None and photo.half_steps is not None:
             steps = photo.half_steps[photo.codes.reshape(-1, 3)[c.index]].astype(np.float64)
         half_steps.append(steps)
-    if not len(rows) or all(steps is None for steps in half_steps):
+    return _shifted(evidence, rows, half_steps)
+
+
+def _drawn(evidence: Evidence, rows: Float[np.ndarray, "t p"]) -> list[float | None]:
+    """How far the layers' own errors can shift each told parameter."""
+    problem = evidence.problem
+    if all(c.drawn_error is None for c in problem.columns):
+        return [None] * len(rows)
+    slopes = width_slopes_of(problem.columns, problem.samples, problem.model, evidence.end.vector)
+    steps = [
+        None if c.drawn_error is None else slope * c.drawn_error[:, None]
+        for c, slope in zip(problem.columns, slopes, strict=True)
+    ]
+    return _shifted(evidence, rows, steps)
+
+
+def _shifted(
+    evidence: Evidence, rows: Float[np.ndarray, "t p"], steps: Sequence[np.ndarray | None]
+) -> list[float | None]:
+    """How far each told parameter moves if all samples are off by so much, all conspiring."""
+    problem = evidence.problem
+    if not len(rows) or all(step is None for step in steps):
         return [None] * len(rows)
     bound = rounding_bound(
         problem.columns,
-        half_steps,
+        steps,
         problem.samples,
         problem.model,
         evidence.end.vector,
@@ -730,6 +754,7 @@ def _estimate(
     stderr: float | None = None,
     reach: float | None = None,
     bias: float | None = None,
+    drawn: float | None = None,
     undone: float | None = None,
 ) -> Estimate:
     return Estimate(
@@ -744,6 +769,7 @@ def _estimate(
         prior=None if p.prior is None else (p.prior.mean, p.prior.sigma),
         tied_to=p.tied_to,
         quantisation_bound=bias,
+        layer_error=drawn,
         compression_shift=undone,
         meaning=p.meaning,
     )
@@ -848,6 +874,18 @@ def _warnings(result: FitResult, photos: Sequence[PhotoLike]) -> tuple[str, ...]
     background = [e for n, e in result.parameters.items() if n.startswith("background")]
     if any(e.stderr is not None and e.value + 3 * e.stderr < 0 for e in background):
         found.append("The background came out negative: the model takes light away.")
+    drawn = {
+        name: (e.layer_error, e.interval[1] - e.value)
+        for name, e in result.parameters.items()
+        if e.layer_error is not None and e.interval is not None
+    }
+    coarse = {name: shift for name, (shift, reach) in drawn.items() if shift > reach}
+    if coarse:
+        shifts = ", ".join(f"{name} {shift:.2g}" for name, shift in coarse.items())
+        found.append(
+            f"The layers hold a mesh, whose error can shift values by more than their intervals "
+            f"say ({shifts}): use more planet.triangles, no relief, or --source raster."
+        )
     lossy = any(isinstance(p, Photo) and p.lossy for p in photos)
     if lossy and told and not undone:
         found.append(

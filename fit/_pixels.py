@@ -57,6 +57,8 @@ class Columns:
     color: Float[np.ndarray, "3"]
     width_error: float
     """Bound on the rounding of a width, from the layers' dtype and depths."""
+    drawn_error: Float[np.ndarray, " n"] | None = None
+    """How far each width may be off by what drew the layers; None where they are exact."""
 
 
 def as_picture(photo: PhotoLike) -> np.ndarray:
@@ -165,6 +167,9 @@ def take_columns(photo: PhotoLike, layers: Layers, pixels: Pixels, width_unit: f
         clipped=clipped,
         color=np.asarray(layers.color, np.float64)[:3],
         width_error=_width_error(layers, pixels, width_unit),
+        drawn_error=None
+        if layers.width_error is None
+        else np.asarray(layers.width_error).reshape(-1)[index] / width_unit,
     )
 
 

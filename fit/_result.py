@@ -96,6 +96,9 @@ class Estimate:
     quantisation_bound: float | None
     """Most that the photo's rounding to codes can shift the value (first order, worst case); None
     for float photos and for what was not fitted."""
+    layer_error: float | None
+    """How far errors of the layers' meshes can shift the value (first order, all to one side); None
+    where the layers are exact, and for what was not fitted."""
     compression_shift: float | None
     """What was added to the best fit's value for what JPEG did to the photo; None where no photo is
     a JPEG, and for what was not fitted."""
@@ -338,6 +341,7 @@ def _estimate_dict(e: Estimate) -> dict[str, Any]:
         "prior": None if e.prior is None else [_number(number) for number in e.prior],
         "tied_to": e.tied_to,
         "quantisation_bound": _number(e.quantisation_bound),
+        "layer_error": _number(e.layer_error),
         "compression_shift": _number(e.compression_shift),
         "meaning": e.meaning,
     }

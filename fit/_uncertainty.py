@@ -20,7 +20,7 @@ H is the full second derivative, of the loss and of the model: by the implicit f
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -226,6 +226,13 @@ def predictions_of(
     return _by_photo(columns, samples, lambda tiles: _predictions(vector, samples, model, tiles))
 
 
+def width_slopes_of(
+    columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """By how much each used sample changes with a width of air, lit or dark, whichever is more."""
+    return _by_photo(columns, samples, lambda tiles: _width_slopes(vector, samples, model, tiles))
+
+
 def area_of(
     columns: Sequence[Columns],
     sizes: Sequence[tuple[int, int]],
@@ -275,6 +282,27 @@ def _predictions(vector: AnyArray, samples: Samples, model: Model, numbers: AnyA
         return predict(vector, tile_at(samples, number), model.linear)
 
     return jax.lax.map(predicted, jnp.asarray(numbers))
+
+
+@eqx.filter_jit
+def _width_slopes(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray) -> jax.Array:
+    def slopes(number: jax.Array) -> jax.Array:
+        tile = tile_at(samples, number)
+        ones = jnp.ones_like(tile.lit)
+
+        def lit(width: jax.Array) -> jax.Array:
+            return predict(vector, replace(tile, lit=width), model.linear)
+
+        found = jnp.abs(jax.jvp(lit, (tile.lit,), (ones,))[1])
+        if tile.dark is None:
+            return found
+
+        def dark(width: jax.Array) -> jax.Array:
+            return predict(vector, replace(tile, dark=width), model.linear)
+
+        return jnp.maximum(found, jnp.abs(jax.jvp(dark, (tile.dark,), (ones,))[1]))
+
+    return jax.lax.map(slopes, jnp.asarray(numbers))
 
 
 def _block_sums(

@@ -58,6 +58,9 @@ class Layers(eqx.Module):
     stretch: Float[AnyArray, "h w"] | None = None
     """Length along the ray for each unit of eye depth, at least 1, where widths are lengths along
     rays; `None` where they are eye depths, as in the paper."""
+    width_error: Float[AnyArray, "h w"] | None = None
+    """How far widths may be off by what drew the layers, scene length units; `None`: they are as
+    exact as their numbers."""
 
     def __check_init__(self) -> None:
         if np.shape(self.color) != (4,):
@@ -92,6 +95,7 @@ class Layers(eqx.Module):
             self.reference,
             self.width_unit,
             some(self.stretch),
+            some(self.width_error),
         )
 
     @property

@@ -2,7 +2,7 @@
 
     front.Z  back.Z  shadow_front.Z  shadow_back.Z   eye depth relative to the header's reference
     shadow2_front.Z  shadow2_back.Z  …               further shadows
-    surface.R/G/B   planet.A   stretch.Y   R G B A   optional, as the layers have them
+    surface.R/G/B   planet.A   stretch.Y   width_error.Y   R G B A   optional, as layers have them
 
 Header: airlight.reference, airlight.width_unit, airlight.color, airlight.near, airlight.far,
 airlight.depth ("eye", "window" or "reversed"), airlight.scene (JSON) and airlight.scene_hash.
@@ -44,6 +44,8 @@ def write_layers(
         channels["planet.A"] = np.asarray(layers.planet)
     if layers.stretch is not None:
         channels["stretch.Y"] = np.asarray(layers.stretch)
+    if layers.width_error is not None:
+        channels["width_error.Y"] = np.asarray(layers.width_error)
     if picture is not None:
         channels |= picture_channels(picture)
     attributes: dict[str, str | float | tuple[float, ...]] = {
@@ -131,6 +133,7 @@ def read_layers(
         if window
         else _number(path, header, "airlight.width_unit", 1.0),
         stretch=channels.get("stretch.Y"),
+        width_error=channels.get("width_error.Y"),
     )
 
 

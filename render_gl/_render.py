@@ -1,5 +1,7 @@
 """Rendering as functions: scene → layers, scene and look → picture."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from model_jax import DepthTextures, Layers, Look, Scene, eye_center, ray_stretch
@@ -7,6 +9,7 @@ from model_jax._shapes import Rgba
 
 from ._depth_format import STORAGE, DepthFormat, choose_format
 from ._draw import Frame, Source, draw
+from ._mesh_error import mesh_width_error
 
 
 def render(scene: Scene, depth_format: str = "auto", source: Source = "raster") -> Layers:
@@ -21,13 +24,16 @@ def render(scene: Scene, depth_format: str = "auto", source: Source = "raster") 
 
     Returns:
         float32 layers [h, w] with the planet's mask, and `surface` when the planet has an albedo;
-        no shadow layers when no air in view is in shadow.
+        no shadow layers when no air in view is in shadow; `width_error` where a mesh is in them,
+        that is of ground with relief and of "mesh".
 
     Raises:
         DriverError: no usable OpenGL. InputError: what cannot be drawn, by name.
     """
     depth_format = choose_format(scene, depth_format).depth_format
-    return frame_layers(scene, draw(scene, Look(), depth_format, source), depth_format)
+    layers = frame_layers(scene, draw(scene, Look(), depth_format, source), depth_format)
+    error = mesh_width_error(scene, source)
+    return layers if error is None else replace(layers, width_error=error)
 
 
 def render_image(

@@ -66,7 +66,7 @@ def test_render_writes_layers_and_picture_in_one_file(here: Path) -> None:
     assert len(header["airlight.scene_hash"]) == 64
 
 
-@pytest.mark.parametrize("source", ["raster", "analytic"])
+@pytest.mark.parametrize("source", ["raster", "mesh", "analytic"])
 def test_fit_recovers_the_rendered_look_and_writes_everything(here, source, capsys) -> None:
     assert airlight("fit", "scene.toml", "photo.png", "-o", "out", "--source", source) == 0
     document = json.loads(Path("out/fit.json").read_text())
@@ -196,6 +196,23 @@ def test_check_prints_and_writes_three_pictures(here: Path, capsys, depth: str) 
         assert word in printed
     found = {path.name for path in Path("scene-check").iterdir()}
     assert found == {"glsl.exr", "jax.exr", "difference.exr"}
+
+
+def test_check_of_nothing_is_no_pass(here: Path, capsys) -> None:
+    """A camera that looks away sees no air: nothing was compared, and the check says so."""
+    away = SCENE.replace("target = [0.0, 0.0, 0.0]", "target = [0.0, -40000.0, 6000.0]")
+    Path("away.toml").write_text(away)
+    assert airlight("check", "away.toml") == 1
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "nothing could be compared" in printed
+
+
+@pytest.mark.parametrize("source", ["raster", "mesh"])
+@pytest.mark.parametrize("name", ["sz_640x480", "sz_333x217", "reference_1024", "near_plane_bound"])
+def test_check_passes_where_it_failed(name: str, source: str, here, data_dir: Path) -> None:
+    """A shadow's back without its front at three sizes; 1 ulp at the near plane."""
+    scene = str(data_dir / "cases" / f"{name}.toml")
+    assert airlight("check", scene, "--source", source, "-o", "checked") == 0
 
 
 def test_check_fails_with_exit_code_1(here: Path, monkeypatch) -> None:

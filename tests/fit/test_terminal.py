@@ -34,6 +34,7 @@ def row(value: float, stderr: float | None = None, **changes: Any) -> dict[str, 
         "prior": None,
         "tied_to": None,
         "quantisation_bound": None,
+        "layer_error": None,
         "compression_shift": None,
         "meaning": "",
     } | changes

@@ -10,6 +10,7 @@ from model_jax import Atmosphere, Camera, Planet, Scene, analytic_layers, layer_
 from render_gl._accuracy import displacement, measure_accuracy, predict_accuracy, smooth
 from render_gl._depth_format import EPS, choose_format
 from render_gl._mesh import cone_mesh, sphere_mesh
+from render_gl._mesh_error import heights_at
 
 from ..model_jax.scenes import ANYWHERE, EXTREMES, LENGTHS, scene_of
 from .test_parity import SCENES
@@ -216,6 +217,31 @@ def test_cone_mesh_faces_outward(tip: float) -> None:
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
     inside = -0.1 * toward
     assert np.min(np.sum((a - inside) * np.cross(b - a, c - a), axis=1)) > -1e-15
+
+
+def test_what_meshes_do_to_widths_is_foreseen_on_average() -> None:
+    """The mean error over the picture, which is what shifts a fit; each pixel's is its own."""
+    for triangles in (5_000, 196_000):
+        case = eqx.tree_at(
+            lambda s: s.planet, SCENES["no sun"], Planet(6371.0, triangles=triangles)
+        )
+        mesh, ray = (render_gl.render(case, "linear", source) for source in ("mesh", "raster"))
+        assert ray.width_error is None
+        off = np.abs((mesh.back - mesh.front) - (ray.back - ray.front))
+        foreseen = mesh.width_error
+        assert 1 < np.sum(foreseen) / np.sum(off) < 2.5
+
+
+def test_heights_between_a_maps_points_are_those_of_the_shader() -> None:
+    heights = np.arange(8.0).reshape(2, 4)
+    # Pixel centres: longitude -135 + 90 column, latitude 45 - 90 row.
+    angle = np.deg2rad(np.array([[-135, 45], [135, 45], [180, 45], [-45, 0], [-135, 89]]))
+    longitude, latitude = angle.T
+    at = np.stack(
+        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude),
+         np.sin(latitude)], axis=1,
+    )  # fmt: skip
+    np.testing.assert_allclose(heights_at(heights, at), [0, 3, 1.5, 3, 0], atol=1e-12)
 
 
 def test_relief_hides_air() -> None:
