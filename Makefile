@@ -16,10 +16,10 @@ demo: $(ready) ## Fit the example photo and write demo/report.html
 	@echo "Report: $(CURDIR)/demo/report.html"
 
 test: $(ready) ## Run the tests; options for pytest go into PYTEST_ARGS
-	$(bin)/python -m pytest -m "not full" -n auto --dist loadfile --max-worker-restart=0 $(PYTEST_ARGS)
+	$(bin)/python -m pytest -m "not full" -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(PYTEST_ARGS)
 
 test-full: $(ready) ## Run the tests and the full sweep
-	$(bin)/python -m pytest -n auto --dist loadfile --max-worker-restart=0 $(PYTEST_ARGS)
+	$(bin)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(PYTEST_ARGS)
 
 lint: $(ready) ## Check style and formatting
 	$(bin)/ruff check

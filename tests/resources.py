@@ -10,12 +10,11 @@ part (Makefile).
 
 import gc
 import resource
+import sys
 from collections.abc import Generator
+from pathlib import Path
 
-import jax
 import pytest
-
-from fit._memory import count_maps, give_back
 
 CLEAR_AT = 4_000
 """Maps, of about ten kinds of fit, 1 GB with what compiling left behind. What is cleared is read
@@ -29,6 +28,12 @@ MOST_BYTES = 2 << 30
 
 _needed = pytest.StashKey[dict[str, tuple[int, int]]]()
 """Worker → its largest number of maps and of bytes."""
+
+
+def count_maps() -> int:
+    """Memory maps of this process; 0 where the system does not tell."""
+    maps = Path("/proc/self/maps")
+    return maps.read_bytes().count(b"\n") if maps.exists() else 0
 
 
 def bytes_of_process() -> int:
@@ -46,9 +51,7 @@ def pytest_runtest_teardown(
     item.config.stash[_needed][""] = max(before[0], maps), most
     ended = nextitem is None or nextitem.path != item.path
     if ended or maps > CLEAR_AT:
-        jax.clear_caches()
-        gc.collect()
-        give_back()
+        _clear()
     if most > MOST_BYTES >= before[1]:
         pytest.fail(
             f"{item.nodeid}: the worker has needed {most / 1e9:.2f} GB by the end of this test, "
@@ -59,6 +62,15 @@ def pytest_runtest_teardown(
             f"{item.path.name} ended with {maps} memory maps, more than {MOST_MAPS}: let its tests "
             "share compiled programs, or move repetition into the full sweep"
         )
+
+
+def _clear() -> None:
+    """Drop compiled programs and give memory back, if the tests so far have used any."""
+    if "jax" in sys.modules:
+        sys.modules["jax"].clear_caches()
+    gc.collect()
+    if "fit._memory" in sys.modules:
+        sys.modules["fit._memory"].give_back()
 
 
 def _measured(config: pytest.Config) -> tuple[int, int]:

@@ -114,6 +114,7 @@ def test_epic_fit(tmp_path: Path, data_dir: Path) -> None:
     assert document["parameters"]["shadow"]["stderr"] > 0
 
 
+@pytest.mark.full  # 13.6 megapixels, half of the time for writing its noise
 def test_iss_photo_does_not_tell_the_shadow_weight(tmp_path: Path, data_dir: Path) -> None:
     scenes = example("make_photo_scenes")
     photo = data_dir / scenes.ISS_PHOTO

@@ -409,7 +409,7 @@ def test_unwritable_folder(here: Path, capsys, monkeypatch) -> None:
 
 
 def test_no_driver(here: Path, capsys, monkeypatch) -> None:
-    def fail(scene, look, depth_format):
+    def fail(scene, look, depth_format, source):
         raise DriverError("no OpenGL driver; install one, or use --source analytic")
 
     monkeypatch.setattr(render_gl._render, "draw", fail)

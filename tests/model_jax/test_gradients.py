@@ -6,6 +6,7 @@ entries are scaled to the argument. The reference is a Richardson-extrapolated c
 for h = 1e-3 and functions without structure finer than their argument.
 """
 
+import itertools
 from collections.abc import Callable
 
 import equinox as eqx
@@ -29,7 +30,7 @@ from model_jax import (
     layer_widths,
 )
 
-from .scenes import SCENES, scene_of
+from .scenes import ECLIPSES, LENGTHS, SCENES, scene_of
 
 RELATIVE = 1e-6
 STEP = 1e-3
@@ -214,13 +215,27 @@ def loss_of(scene: Scene, look: Look, dtype: np.dtype) -> jax.Array:
 gradients = eqx.filter_jit(jax.grad(loss_of, argnums=(0, 1)))
 
 
-SLOW = ("odd sizes", "one pixel", "shadows overlap")
-"""Another image size is another compilation of some seconds, and nothing new to differentiate; of
-four shadows it takes half a minute and 2 GB."""
-SAMPLE = [pytest.param(name, marks=pytest.mark.full if name in SLOW else ()) for name in SCENES]
+SLOW = {
+    # Another image size is another compilation of some seconds, and nothing new to differentiate.
+    "odd sizes",
+    "one pixel",
+    # The gradient of four shadows takes half a minute and 2 GB to compile.
+    "shadows overlap",
+}
+ONCE = set(ECLIPSES) | set(LENGTHS)
+"""Programs of their own, of a quarter minute each: in one precision, but for the full sweep."""
 
 
-@pytest.mark.parametrize("name", SAMPLE)
+def cases() -> list[object]:
+    found = []
+    for name, precision in itertools.product(SCENES, ("float32", "float64")):
+        full = name in SLOW or (precision == "float64" and name in ONCE)
+        marks = pytest.mark.full if full else ()
+        found.append(pytest.param(name, precision, marks=marks, id=f"{precision}-{name}"))
+    return found
+
+
+@pytest.mark.parametrize(("name", "dtype"), cases(), indirect=["dtype"])
 def test_finite_at_every_pixel(name: str, dtype: np.dtype) -> None:
     scene = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), SCENES[name])
     look = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), Look())

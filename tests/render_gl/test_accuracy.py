@@ -108,7 +108,7 @@ SIZES = ((333, 217), (640, 480), (101, 67), (1024, 768), (240, 180))
 
 
 @pytest.mark.parametrize(
-    "count", [8, pytest.param(200, marks=[pytest.mark.full, pytest.mark.timeout(3600)])]
+    "count", [4, pytest.param(200, marks=[pytest.mark.full, pytest.mark.timeout(3600)])]
 )
 @pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
 def test_random_scenes_hold_their_bounds(size: tuple[int, int], count: int) -> None:
