@@ -20,7 +20,6 @@ from fit._job import Job, run_job
 from model_jax import Look, analytic_layers, combine
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
-SCENES = ("paper", "reference", "epic", "iss")
 
 
 def example(name: str) -> ModuleType:
@@ -57,7 +56,10 @@ def test_paper_scene_passes_the_check() -> None:
     assert found.passed, found.summary()
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name",
+    ["paper", "reference", *(pytest.param(n, marks=pytest.mark.full) for n in ("epic", "iss"))],
+)
 def test_no_gradient_is_nan_on_any_example(name: str) -> None:
     scene = render_gl.load_scene(EXAMPLES / f"{name}.toml").scene
     camera = scene.camera

@@ -219,8 +219,10 @@ SLOW = {
     # Another image size is another compilation of some seconds, and nothing new to differentiate.
     "odd sizes",
     "one pixel",
-    # The gradient of four shadows takes half a minute and 2 GB to compile.
+    # The gradient of four shadows takes half a minute and 2 GB to compile, of two a quarter: one
+    # scene of two is enough.
     "shadows overlap",
+    "moon beside the camera, far",
 }
 ONCE = set(ECLIPSES) | set(LENGTHS)
 """Programs of their own, of a quarter minute each: in one precision, but for the full sweep."""
