@@ -2,9 +2,10 @@
 
 Every program that XLA compiles holds memory maps until JAX's caches are cleared, and the kernel
 gives a process 65,530 of them (`vm.max_map_count`): beyond, the compiler ends in a segmentation
-fault. So caches are cleared after any test that leaves many behind; a module that still ends with
-too many, and a test at which a worker outgrows its memory, fail by name. That a test which hangs or
-crashes ends the run is pytest-timeout's (pyproject.toml) and pytest-xdist's part (Makefile).
+fault. So caches are cleared after each module and after any test that leaves many behind; a module
+that still ends with too many, and a test at which a worker outgrows its memory, fail by name. That
+a test which hangs or crashes ends the run is pytest-timeout's (pyproject.toml) and pytest-xdist's
+part (Makefile).
 """
 
 import gc
@@ -16,8 +17,8 @@ from pathlib import Path
 import pytest
 
 CLEAR_AT = 4_000
-"""Maps, of about eight kinds of fit, 1 GB with what compiling left behind. What is cleared is
-traced again and read from JAX's compilation cache (conftest.py), a second for each program."""
+"""Maps, of about ten kinds of fit, 1 GB with what compiling left behind. What is cleared is read
+again from JAX's compilation cache (see conftest.py), not compiled again."""
 
 MOST_MAPS = 20_000
 """At a module's end: a third of the kernel's limit, for one test may need many by itself."""
@@ -50,7 +51,7 @@ def pytest_runtest_teardown(
     item.config.stash[_needed][""] = max(before[0], maps), most
     ended = nextitem is None or nextitem.path != item.path
     if ended or maps > CLEAR_AT:
-        _give_back(programs=maps > CLEAR_AT)
+        _clear()
     if most > MOST_BYTES >= before[1]:
         pytest.fail(
             f"{item.nodeid}: the worker has needed {most / 1e9:.2f} GB by the end of this test, "
@@ -63,9 +64,9 @@ def pytest_runtest_teardown(
         )
 
 
-def _give_back(programs: bool) -> None:
-    """Give freed memory back, and with it compiled programs, if the tests so far have used any."""
-    if programs and "jax" in sys.modules:
+def _clear() -> None:
+    """Drop compiled programs and give memory back, if the tests so far have used any."""
+    if "jax" in sys.modules:
         sys.modules["jax"].clear_caches()
     gc.collect()
     if "fit._memory" in sys.modules:
