@@ -117,11 +117,11 @@ def _trace(view: View, column: AnyArray, row: AnyArray) -> tuple[AnyArray, ...]:
     cut, (ground, _) = ray_sphere(x, y, mx, my, view.planet)
     # The planet ends the ray wherever it is in front of the camera: the clip planes limit depths
     # (they are clamped, as by the rasteriser), not what is there.
-    hit = cut & _ahead(x, y, view.aim)
+    hit = cut & is_ahead(x, y, view.aim)
     back = jnp.where(hit, ground, back)
     for body in view.occluders:
         met, (enter, _) = ray_sphere(x, y, *ray_offsets(body.aim, column, row), body.radius)
-        met &= _ahead(x, y, body.aim)
+        met &= is_ahead(x, y, body.aim)
         back = jnp.where(met, jnp.minimum(back, enter + body.depth), back)
         hit |= met
     front, back = clamp(front), clamp(back)
@@ -142,7 +142,7 @@ def _trace(view: View, column: AnyArray, row: AnyArray) -> tuple[AnyArray, ...]:
     return front, back, planet, jnp.stack(starts), jnp.stack(ends)
 
 
-def _ahead(x: AnyArray, y: AnyArray, aim: Aim) -> AnyArray:
+def is_ahead(x: AnyArray, y: AnyArray, aim: Aim) -> AnyArray:
     """Whether a sphere that the ray's line cuts lies before the camera, which is outside of it.
 
     Both ends are then on one side, that of the centre. Depths would not tell for a camera on the

@@ -52,7 +52,7 @@ COVER_TRIANGLES = 5120
 """Of the mesh that bounds a sphere's pixels: it is 0.12 % wider than the sphere."""
 
 COVER_PIXELS = 1 / 16
-"""More that it is wider: vertices are snapped to 1/16 pixel at worst (OpenGL 4.6, table 23.54)."""
+"""More that it is wider: OpenGL snaps vertices to 1/16 pixel at worst (4 sub-pixel bits)."""
 
 Source = Literal["raster", "mesh"]
 SOURCES: tuple[Source, ...] = get_args(Source)

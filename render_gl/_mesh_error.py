@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from model_jax import Scene
+from model_jax._analytic import is_ahead
 from model_jax._intersect import squared_miss_distance
 from model_jax._view import pixel_grid, pixel_slopes, ray_offsets, view_of
 
@@ -41,9 +42,7 @@ def mesh_width_error(scene: Scene, source: Source) -> Float[np.ndarray, "h w"] |
         ends = [np.sqrt(np.maximum(inside + more, 0)) for more in (2 * radius * error, 0)]
         return np.asarray(np.where(inside > 0, (ends[0] - ends[1]) / np.sqrt(dd), 0.0))
 
-    center = view.aim.center
-    ahead = x * center[0] + y * center[1] + center[2] > 0
-    met = (squared < 1) & ahead
+    met = (squared < 1) & is_ahead(x, y, view.aim)
     error = np.where(met, moved(1.0, ground), 0.0)
     if source == "mesh":
         outer = moved(shell, shell * facet_error(mesh, None))

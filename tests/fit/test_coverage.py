@@ -171,7 +171,7 @@ def outcome(noise: Noise, layers: Layers, count: int, seed: int, folder: Path) -
 
 
 SWEPT = ("by_brightness", "blurred", "rounded")
-"""In the full sweep only: what they ask, the other kinds ask too."""
+"""In the full sweep only, for the time that they take."""
 
 
 @pytest.mark.parametrize(

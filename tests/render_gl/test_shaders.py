@@ -38,7 +38,7 @@ TWINS = {
     "ray_cone": _intersect.ray_cone,
     "half_line": _intersect._half_line,
     "quotient": _safe.safe_divide,
-    "is_ahead": _analytic._ahead,
+    "is_ahead": _analytic.is_ahead,
 }
 """Of functions whose twin is not public, or has another name."""
 
