@@ -11,7 +11,6 @@ from itertools import pairwise
 from time import perf_counter
 from typing import Any, overload
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +20,7 @@ from model_jax import InputError, Layers, Look, Response
 from model_jax._shapes import AnyArray, is_traced
 
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
+from ._compile import program
 from ._compression import Undone, undo_compression
 from ._loss import Loss, LossName, check_loss, weigh
 from ._memory import bound_programs, give_back
@@ -326,7 +326,7 @@ def _believed(residual: Float[np.ndarray, "n 3"], loss: Loss) -> Float[np.ndarra
     return found
 
 
-@eqx.filter_jit
+@program
 def _belief(residual: Float[AnyArray, "n 3"], loss: Loss) -> Float[jax.Array, "n 3"]:
     return weigh(jnp.asarray(residual), None, loss)[2]
 

@@ -16,13 +16,13 @@ which is second order in its width.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from ._compile import program
 from ._pixels import Columns, to_samples
 from ._stream import Samples, tile_at, tile_columns, weighted_squares
 
@@ -138,7 +138,7 @@ def _bin_numbers(widths: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     return np.minimum((widths - low) * (BINS / (high - low)), BINS - 1).astype(np.intp)
 
 
-@partial(jax.jit, static_argnames=("photos", "size"))
+@program
 def _products(samples: Samples, photos: int, size: int) -> Float[jax.Array, "photos c c"]:
     def add(index: jax.Array, total: jax.Array) -> jax.Array:
         tile = tile_at(samples, index)

@@ -21,6 +21,7 @@ from model_jax import InputError
 from model_jax._shapes import AnyArray
 
 from ._bijections import to_tints, to_value
+from ._compile import program
 from ._parameters import TINT, Chart, Entries
 from ._stream import Model, Samples, compressed, gram, tile_at
 
@@ -103,7 +104,7 @@ class Pass(eqx.Module):
 
     def __call__(self, step: Float[jax.Array, " p"]) -> Float[jax.Array, "q q"]:
         entries, along = _frame(self.atlas, step)
-        found = exact_gram(entries, along, self.samples, self.model) / self.size**2
+        found = _gram(entries, along, self.samples, self.model) / self.size**2
         # Where light overflows no step is better; the factor of a NaN would pass for a cost of 0.
         return jnp.where(jnp.isfinite(found).all(), found, jnp.inf)
 
@@ -145,7 +146,11 @@ def descend(
     return Descent(np.asarray(end if better else start), finite, int(count), tuple(costs))
 
 
-@eqx.filter_jit
+_gram = eqx.filter_jit(gram)
+"""For the solver's program, which traces it once."""
+
+
+@program
 def exact_gram(
     entries: Float[AnyArray, " e"], along: Float[AnyArray, "e p"], samples: Samples, model: Model
 ) -> Float[jax.Array, "q q"]:
@@ -153,7 +158,7 @@ def exact_gram(
     return gram(entries, along, samples, model)
 
 
-@eqx.filter_jit
+@program
 def square_sums(
     vectors: Float[AnyArray, "k e"], samples: Samples, model: Model
 ) -> Float[jax.Array, " k"]:
@@ -162,7 +167,7 @@ def square_sums(
     return jax.vmap(lambda vector: gram(vector, nothing, samples, model)[-1, -1])(vectors)
 
 
-@eqx.filter_jit
+@program
 def _run(
     solver: Solver, atlas: Atlas, samples: Samples, model: Model, max_steps: int
 ) -> tuple[jax.Array, ...]:
@@ -171,7 +176,7 @@ def _run(
     All in one program: each costs a good part of a second to compile.
     """
     begin, along = _frame(atlas, jnp.zeros_like(atlas.start))
-    first = exact_gram(begin, along, samples, model)
+    first = _gram(begin, along, samples, model)
     size = jnp.sqrt(_light(samples))
     size = jnp.where(size > 0, size, 1.0)
     whitened = eqx.tree_at(lambda a: a.whiten, atlas, _whitening(first[:-1, :-1]) * size)

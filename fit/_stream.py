@@ -20,6 +20,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float, Int
 
 from model_jax import Look, Response, air_light, record
@@ -189,14 +190,13 @@ def _linear_gram(
     zero = jnp.zeros((len(photos), size + 3, size + 3), samples.lit.dtype)
     total = jax.lax.fori_loop(0, samples.used, add, zero)
     square_sum = jnp.trace(total[:, size:, size:], axis1=1, axis2=2).sum()
-    curved: Any = 0.0
-    gradient: Any = 0.0
-    for k in range(3):
-        of = [*range(shared), *([shared + k] if surfaces else [])]
-        last = size + k
-        products, slope = total[:, of][:, :, of], slopes[:, :, k]
-        curved = curved + jnp.einsum("qim,qmn,qjn->ij", slope, products, slope)
-        gradient = gradient + jnp.einsum("qim,qm->i", slope, total[:, of, last])
+    channel = np.arange(3)[:, None]
+    of = np.concatenate([np.broadcast_to(np.arange(shared), (3, shared)), shared + channel], axis=1)
+    of = of[:, : slopes.shape[-1]]  # without surfaces no column is a channel's own
+    products = total[:, of[:, :, None], of[:, None, :]]
+    pulled = jnp.einsum("qikm,qkmn->qikn", slopes, products)
+    curved = jnp.einsum("qikn,qjkn->ij", pulled, slopes)
+    gradient = jnp.einsum("qikm,qkm->i", slopes, total[:, of, size + channel])
     return _bordered(curved, gradient, square_sum)
 
 

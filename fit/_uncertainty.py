@@ -22,7 +22,6 @@ H is the full second derivative, of the loss and of the model: by the implicit f
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,6 +29,7 @@ from jaxtyping import Float
 
 from model_jax._shapes import AnyArray
 
+from ._compile import program
 from ._loss import weigh
 from ._parameters import Entries
 from ._pixels import Columns
@@ -267,7 +267,7 @@ def _groups(samples: Samples) -> Iterator[tuple[int, np.ndarray]]:
         yield min(_GROUP, used - start), np.where(numbers < used, numbers, 0).astype(np.int32)
 
 
-@eqx.filter_jit
+@program
 def _residuals(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray) -> jax.Array:
     def residual(number: jax.Array) -> jax.Array:
         tile = tile_at(samples, number)
@@ -276,7 +276,7 @@ def _residuals(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArr
     return jax.lax.map(residual, jnp.asarray(numbers))
 
 
-@eqx.filter_jit
+@program
 def _predictions(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray) -> jax.Array:
     def predicted(number: jax.Array) -> jax.Array:
         return predict(vector, tile_at(samples, number), model.linear)
@@ -284,7 +284,7 @@ def _predictions(vector: AnyArray, samples: Samples, model: Model, numbers: AnyA
     return jax.lax.map(predicted, jnp.asarray(numbers))
 
 
-@eqx.filter_jit
+@program
 def _width_slopes(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray) -> jax.Array:
     def slopes(number: jax.Array) -> jax.Array:
         tile = tile_at(samples, number)
@@ -342,7 +342,7 @@ def _block_sums(
     return total[:, :p], squares, hessian
 
 
-@eqx.filter_jit
+@program
 def _tile_scores(
     vector: AnyArray, along: AnyArray, samples: Samples, model: Model, numbers: AnyArray
 ) -> tuple[jax.Array, jax.Array]:
@@ -396,7 +396,7 @@ def _influences(
                 yield int(photo[number]), found[k, ..., : count[number]]
 
 
-@eqx.filter_jit
+@program
 def _tile_influence(
     vector: AnyArray, along: AnyArray, samples: Samples, model: Model, numbers: AnyArray
 ) -> jax.Array:

@@ -1,0 +1,43 @@
+"""Programs that are called from Python, compiled for a short wait.
+
+Compiling is most of a first fit. On a CPU, XLA's fusion emitters take half of that for these
+programs, and what they make is no faster: compiled without them, a first fit of 160 × 128 pixels
+takes 4.0 s of a core instead of 5.7, with a free gamma 4.8 instead of 8.0.
+"""
+
+from collections.abc import Callable
+from functools import cache, wraps
+from typing import Any, ParamSpec, TypeVar
+
+import equinox as eqx
+import jax
+
+_SHORT_WAIT = {"xla_cpu_use_fusion_emitters": False}
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def program(function: Callable[P, R]) -> Callable[P, R]:
+    """`equinox.filter_jit` with our compiler options, which JAX takes at the outermost level only:
+    not to be called while JAX traces."""
+    # Asked when first called: importing must not start a device.
+    jit: Any = eqx.filter_jit  # its type leaves out what it passes on to `jax.jit`
+    compiled = cache(lambda: jit(function, compiler_options=_options()))
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        found: R = compiled()(*args, **kwargs)
+        return found
+
+    return call
+
+
+@cache
+def _options() -> dict[str, bool]:
+    """What this version of XLA knows."""
+    try:
+        jax.jit(lambda: 0, compiler_options=_SHORT_WAIT).lower().compile()
+    except jax.errors.JaxRuntimeError:
+        return {}
+    return _SHORT_WAIT
