@@ -8,6 +8,7 @@ for h = 1e-3 and functions without structure finer than their argument.
 
 import itertools
 from collections.abc import Callable
+from functools import cache
 
 import equinox as eqx
 import jax
@@ -30,6 +31,7 @@ from model_jax import (
     layer_widths,
 )
 
+from .. import quick
 from .scenes import ECLIPSES, LENGTHS, SCENES, scene_of
 
 RELATIVE = 1e-6
@@ -126,7 +128,17 @@ def test_combine(name: str, rng: np.random.Generator) -> None:
     at = np.asarray(at, np.float64)
     # A step of window depth that moves eye depth by some percent: dw = (1 - w) · dz/z.
     scale = 1 - at if name in WINDOWS else at
-    compare(jax.jit(function), at, scale * rng.uniform(0.5, 1.0, at.shape), rng)
+    compare(function, at, scale * rng.uniform(0.5, 1.0, at.shape), rng)
+
+
+@cache
+def modes(function: Function) -> tuple[Callable, Callable, Callable]:
+    """The function, its forward and its reverse mode, compiled once for all that share it."""
+    return (
+        quick.jit(function),
+        quick.jit(lambda point, along: jax.jvp(function, (point,), (along,))[1]),
+        quick.jit(lambda point, weights: jax.vjp(function, point)[1](weights)[0]),
+    )
 
 
 def compare(
@@ -142,9 +154,10 @@ def compare(
     3 h² f‴/6. `least_smooth` is the share of pixels that must remain.
     """
     point, along = jax.tree.map(jnp.asarray, (at, direction))
+    picture, push, pull = modes(function)
 
     def moved(step: float) -> jax.Array:
-        return function(jax.tree.map(lambda x, d: x + step * d, point, along))
+        return picture(jax.tree.map(lambda x, d: x + step * d, point, along))
 
     def central(step: float) -> np.ndarray:
         difference = moved(step) - moved(-step)
@@ -158,13 +171,13 @@ def compare(
     assert smooth.mean() >= least_smooth
     assert np.max(np.abs(reference[smooth])) > 1e-3
 
-    value, forward = jax.jvp(function, (point,), (along,))
+    forward = push(point, along)
     assert np.all(np.isfinite(forward))
     size = np.max(np.abs(reference[smooth]))
     np.testing.assert_allclose(forward[smooth], reference[smooth], rtol=0, atol=RELATIVE * size)
 
-    weights = np.where(smooth, rng.uniform(0.5, 1.0, value.shape) * np.sign(reference), 0)
-    (reverse,) = jax.vjp(function, point)[1](jnp.asarray(weights))
+    weights = np.where(smooth, rng.uniform(0.5, 1.0, forward.shape) * np.sign(reference), 0)
+    reverse = pull(point, jnp.asarray(weights))
     expected = np.sum(weights * np.where(smooth, reference, 0))
     assert abs(expected) > 1e-3
     got = sum(jax.tree.leaves(jax.tree.map(lambda g, d: np.sum(g * d), reverse, direction)))
@@ -182,7 +195,6 @@ BASE = {
 }
 
 
-@jax.jit
 def widths(use: dict[str, jax.Array]) -> jax.Array:
     """Lit and dark widths [2, h, w] of a scene, as a function of all its numbers."""
     camera = Camera(use["position"], use["forward"], (0.0, 0.0, 1.0), use["fov"], 12, 9, 0.01, 6.0)
@@ -212,7 +224,7 @@ def loss_of(scene: Scene, look: Look, dtype: np.dtype) -> jax.Array:
     return sum(jnp.sum(jnp.sqrt(1 + w * w)) for w in widths) + jnp.sum(picture * picture)
 
 
-gradients = eqx.filter_jit(jax.grad(loss_of, argnums=(0, 1)))
+gradients = eqx.filter_jit(jax.grad(loss_of, argnums=(0, 1)), compiler_options=quick.QUICK)
 
 
 SLOW = {
