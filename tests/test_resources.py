@@ -1,5 +1,6 @@
 """A run of `make test` always ends: crashes, hangs and hoarding are red at once, and by name."""
 
+import os
 import shlex
 import subprocess
 import sys
@@ -15,15 +16,23 @@ OTHERS = "import time\n" + "".join(
 )
 
 
+def planned(target: str) -> str:
+    """What `make` would run, without the options of a `make` that runs these tests."""
+    ours = ("MAKE", "MFLAGS", "PYTEST_ARGS")
+    outer = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
+    command = ["make", "-n", target]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=True, cwd=REPOSITORY, env=outer
+    )
+    return done.stdout
+
+
 def run(folder: Path, faulty: str, *options: str) -> subprocess.CompletedProcess[str]:
     """The Makefile's own command on a faulty test file and three harmless ones."""
     (folder / "test_faulty.py").write_text(faulty + OTHERS)
     for k in range(3):
         (folder / f"test_well_{k}.py").write_text(OTHERS)
-    planned = subprocess.run(
-        ["make", "-n", "test"], capture_output=True, text=True, check=True, cwd=REPOSITORY
-    )
-    command = shlex.split(planned.stdout.splitlines()[-1])
+    command = shlex.split(planned("test").splitlines()[-1])
     assert command[1:3] == ["-m", "pytest"]
     command = [sys.executable, *command[1:], "-p", "tests.resources", *options]
     command[command.index("-n") + 1] = "2"  # as on the smallest machine of CI
@@ -72,7 +81,4 @@ def test_a_run_says_what_its_workers_needed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("target", ["test", "test-full"])
 def test_both_targets_have_the_same_safeguards(target: str) -> None:
-    planned = subprocess.run(
-        ["make", "-n", target], capture_output=True, text=True, check=True, cwd=REPOSITORY
-    )
-    assert "--max-worker-restart=0" in planned.stdout
+    assert "--max-worker-restart=0" in planned(target)
