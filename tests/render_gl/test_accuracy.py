@@ -32,26 +32,32 @@ ray's is a sum of some thirty roundings at their worst, all to one side, and for
 the picture: in practice a tenth to a hundredth of it is met."""
 
 
+EACH_FORMAT = {"sun (1, -1, 1)", "far camera", "thin shell", "eclipse", *STEPPED}
+"""The scenes that are drawn in every format; the rest in the paper's and in the most exact one."""
+
+
 def drawings() -> list[object]:
-    """Both sources in all formats; of meshes the paper's format and the exact one by default."""
     found = []
-    for source, depth_format in itertools.product(render_gl.SOURCES, render_gl.DEPTH_FORMATS):
-        full = source == "mesh" and depth_format not in ("window24", "linear")
+    for name, source, depth_format in itertools.product(
+        SCENES | STEPPED, render_gl.SOURCES, render_gl.DEPTH_FORMATS
+    ):
+        swept = source == "mesh" or name not in EACH_FORMAT
+        full = swept and depth_format not in ("window24", "linear")
         marks = pytest.mark.full if full else ()
-        found.append(pytest.param(source, depth_format, marks=marks))
+        found.append(pytest.param(name, source, depth_format, marks=marks))
     return found
 
 
-@pytest.mark.parametrize(("source", "depth_format"), drawings())
-@pytest.mark.parametrize("name", SCENES | STEPPED)
-def test_rasterised_widths_are_as_predicted(name: str, depth_format: str, source: str) -> None:
+@pytest.mark.parametrize(("name", "source", "depth_format"), drawings())
+def test_rasterised_widths_are_as_predicted(name: str, source: str, depth_format: str) -> None:
     """Every width is within its bound; and what is said of the scene, before it is drawn, is no
     excuse for more."""
     case = (SCENES | STEPPED)[name]
     accuracy = measure_accuracy(case, depth_format, source)
     assert accuracy.passed, accuracy.summary()
-    predicted = predict_accuracy(case, depth_format, source).error
-    assert predicted == accuracy.predicted.error
+    predicted = accuracy.predicted.error
+    if depth_format == "window24":
+        assert predict_accuracy(case, depth_format, source).error == predicted
     assert accuracy.largest <= predicted <= accuracy.predicted.chord
     assert accuracy.largest > 4 * EPS * accuracy.predicted.chord
     assert predicted <= LOOSENESS[source] * accuracy.largest
