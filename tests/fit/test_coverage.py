@@ -170,8 +170,8 @@ def outcome(noise: Noise, layers: Layers, count: int, seed: int, folder: Path) -
     return Outcome(names, covered, distance)
 
 
-SWEPT = ("gaussian", "by_brightness", "blurred", "rounded")
-"""In the full sweep only, for the time that they take; the first is part of the last two kinds."""
+SWEPT = ("gaussian", "by_brightness", "blurred", "rounded", "response")
+"""In the full sweep only, for the time that they take; `two photos` has the first one's noise."""
 
 
 @pytest.mark.parametrize(
