@@ -2,8 +2,8 @@
 
 Every program that XLA compiles holds memory maps until JAX's caches are cleared, and the kernel
 gives a process 65,530 of them (`vm.max_map_count`): beyond, the compiler ends in a segmentation
-fault. So caches are cleared after a module that leaves some behind and after a test that leaves
-many; a module that still ends with too many, and a test at which a worker outgrows its memory, fail
+fault. So caches are cleared after each module and after any test that leaves many behind; a module
+that still ends with too many, and a test at which a worker outgrows its memory, fail
 by name. That a test which hangs or crashes ends the run is pytest-timeout's (pyproject.toml) and
 pytest-xdist's part (Makefile).
 """
@@ -16,9 +16,9 @@ from pathlib import Path
 
 import pytest
 
-CLEAR_AT = {"module": 1_500, "test": 4_000}
-"""Maps at the end of either, of three and of ten kinds of fit. What is cleared is traced again, and
-read from JAX's compilation cache (see conftest.py) instead of compiled."""
+CLEAR_AT = 4_000
+"""Maps, of about ten kinds of fit, 1 GB with what compiling left behind. What is cleared is read
+again from JAX's compilation cache (see conftest.py), not compiled again."""
 
 MOST_MAPS = 20_000
 """At a module's end: a third of the kernel's limit, for one test may need many by itself."""
@@ -50,7 +50,7 @@ def pytest_runtest_teardown(
     maps, most = count_maps(), bytes_of_process()
     item.config.stash[_needed][""] = max(before[0], maps), most
     ended = nextitem is None or nextitem.path != item.path
-    if maps > CLEAR_AT["module" if ended else "test"]:
+    if ended or maps > CLEAR_AT:
         _clear()
     if most > MOST_BYTES >= before[1]:
         pytest.fail(

@@ -210,7 +210,7 @@ def test_the_values_are_those_before_compression(layers64: Layers, tmp_path: Pat
     [
         pytest.param({"loss": "huber"}, id="robust"),
         pytest.param({"priors": {"shadow": (0.3, 0.001)}}, id="prior"),
-        pytest.param({"bounds": {"shadow": (0.0, 0.301)}}, id="by a bound"),
+        pytest.param({"bounds": {"shadow": (0.0, 0.301)}}, id="by a bound", marks=pytest.mark.full),
     ],
 )
 def test_other_fits(options: dict[str, Any], layers64: Layers, tmp_path: Path) -> None:

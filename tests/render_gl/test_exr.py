@@ -240,7 +240,7 @@ class TestDamage:
         with pytest.raises(InputError, match=str(path)):
             read_channels(path)
 
-    @pytest.mark.parametrize("step", [6, pytest.param(1, marks=pytest.mark.full)])
+    @pytest.mark.parametrize("step", [12, pytest.param(1, marks=pytest.mark.full)])
     def test_damaged_files_of_the_openexr_project(self, step: int) -> None:
         """A sample of the 177, or all, in one process: an error of one line each, nothing printed,
         memory and time.
