@@ -14,8 +14,8 @@ from pathlib import Path
 
 import jax
 
-MOST_MAPS = 12_000
-"""From this many on programs go: those of fifteen kinds of fit, 1.2 GB, a fifth of the limit."""
+MOST_MAPS = 8_000
+"""From this many on programs go: those of twenty fits of ever new options, 0.9 GB."""
 
 _M_MMAP_THRESHOLD = -3
 
