@@ -1,8 +1,8 @@
 """Programs that are called from Python, compiled for a short wait.
 
-Compiling is most of a first fit. On a CPU, XLA's fusion emitters take half of that for these
-programs, and what they make is no faster: compiled without them, a first fit of 160 × 128 pixels
-takes 4.0 s of a core instead of 5.7, with a free gamma 4.8 instead of 8.0.
+Compiling is most of a first fit. On a CPU, XLA's fusion emitters take half of XLA's part of it for
+these programs, and what they make is no faster: without them, a first fit of 160 × 128 pixels takes
+4.0 s of a core instead of 5.7, with a free gamma 4.8 instead of 8.0.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from typing import Any, ParamSpec, TypeVar
 import equinox as eqx
 import jax
 
-_SHORT_WAIT = {"xla_cpu_use_fusion_emitters": False}
+SHORT_WAIT = {"xla_cpu_use_fusion_emitters": False}
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -37,7 +37,7 @@ def program(function: Callable[P, R]) -> Callable[P, R]:
 def _options() -> dict[str, bool]:
     """What this version of XLA knows."""
     try:
-        jax.jit(lambda: 0, compiler_options=_SHORT_WAIT).lower().compile()
+        jax.jit(lambda: 0, compiler_options=SHORT_WAIT).lower().compile()
     except jax.errors.JaxRuntimeError:
         return {}
-    return _SHORT_WAIT
+    return SHORT_WAIT

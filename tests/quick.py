@@ -8,5 +8,6 @@ from functools import partial
 
 import jax
 
-QUICK = {"xla_cpu_use_fusion_emitters": False}
-jit = partial(jax.jit, compiler_options=QUICK)
+from fit._compile import SHORT_WAIT
+
+jit = partial(jax.jit, compiler_options=SHORT_WAIT)

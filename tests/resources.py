@@ -3,9 +3,9 @@
 Every program that XLA compiles holds memory maps until JAX's caches are cleared, and the kernel
 gives a process 65,530 of them (`vm.max_map_count`): beyond, the compiler ends in a segmentation
 fault. So caches are cleared after each module and after any test that leaves many behind; a module
-that still ends with too many, and a test at which a worker outgrows its memory, fail
-by name. That a test which hangs or crashes ends the run is pytest-timeout's (pyproject.toml) and
-pytest-xdist's part (Makefile).
+that still ends with too many, and a test at which a worker outgrows its memory, fail by name. That
+a test which hangs or crashes ends the run is pytest-timeout's (pyproject.toml) and pytest-xdist's
+part (Makefile).
 """
 
 import gc

@@ -224,7 +224,7 @@ def loss_of(scene: Scene, look: Look, dtype: np.dtype) -> jax.Array:
     return sum(jnp.sum(jnp.sqrt(1 + w * w)) for w in widths) + jnp.sum(picture * picture)
 
 
-gradients = eqx.filter_jit(jax.grad(loss_of, argnums=(0, 1)), compiler_options=quick.QUICK)
+gradients = eqx.filter_jit(jax.grad(loss_of, argnums=(0, 1)), compiler_options=quick.SHORT_WAIT)
 
 
 SLOW = {
