@@ -2,8 +2,8 @@
 
 The C library, where it is glibc, keeps what was freed in blocks below 32 MB, and what compiling
 left behind: hundreds of MB beside a large photo's own. JAX keeps every program that it has
-compiled, and each holds memory maps, a descent's three hundred. Linux gives a process 65,530 of them
-(`vm.max_map_count`), and beyond the compiler ends in a segmentation fault: 54 fits of ever new
+compiled, and each holds memory maps, a descent's three hundred. Linux gives a process 65,530 of
+them (`vm.max_map_count`), and beyond the compiler ends in a segmentation fault: 54 fits of ever new
 sizes and options held 44,000 of them, and 4 GB.
 """
 
