@@ -9,9 +9,8 @@ import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import jax
 import typer
@@ -23,7 +22,7 @@ from model_jax import AirlightError, InputError, Layers, Look, Scene, Srgb, comp
 
 from . import _assignments as assignments
 from ._export import Format, export_text, read_fit, write_export
-from ._job import Job, make_layers, prepare_folder, run_job, versions
+from ._job import Job, Source, make_layers, prepare_folder, run_job, versions
 from ._terminal import print_bench, print_check, print_fit
 
 # Typer shows the whole usage for a wrong option; its exception's text alone is one line.
@@ -37,42 +36,18 @@ app = typer.Typer(
 )
 
 
-class SourceOption(StrEnum):
-    """Where layers come from."""
-
-    raster = "raster"
-    mesh = "mesh"
-    analytic = "analytic"
-
-
-class DrawnOption(StrEnum):
-    """How OpenGL finds depths."""
-
-    raster = "raster"
-    mesh = "mesh"
-
-
-class DepthOption(StrEnum):
-    """Depth format of rasterised layers."""
-
-    auto = "auto"
-    window16 = "window16"
-    window24 = "window24"
-    window32f = "window32f"
-    reversed32f = "reversed32f"
-    linear = "linear"
-
+Depths = Literal["auto", render_gl.DepthFormat]
 
 SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
-Source = Annotated[
-    SourceOption,
+SourceOption = Annotated[
+    Source,
     typer.Option(
         help="Layers by OpenGL: each pixel's own ray (raster) or the paper's meshes; or by JAX."
     ),
 ]
-Depth = Annotated[
-    DepthOption,
+DepthOption = Annotated[
+    Depths,
     typer.Option(help="Depth format of the passes; auto is the cheapest that is exact enough."),
 ]
 
@@ -102,8 +77,8 @@ def render(
     out: Annotated[
         str, typer.Option("-o", "--out", help="OUT.exr: layers and picture; OUT.png: picture only.")
     ],
-    source: Source = SourceOption.raster,
-    depth: Depth = DepthOption.auto,
+    source: SourceOption = "raster",
+    depth: DepthOption = "auto",
     size: Annotated[
         str | None, typer.Option(metavar="WxH", help="Another size; vertical field of view stays.")
     ] = None,
@@ -115,16 +90,17 @@ def render(
         raise InputError(f"{out}: is neither .exr (layers and picture) nor .png (picture)")
     file = render_gl.load_scene(scene)
     drawn = file.scene if size is None else _resized(file.scene, size)
-    facts: dict[str, Any] = {"source": source.value}
-    told, depth_format = source.value, "linear"
-    if source is not SourceOption.analytic:
-        choice = render_gl.choose_format(drawn, depth.value)
+    facts: dict[str, Any] = {"source": source}
+    told: str = source
+    depth_format = "linear"
+    if source != "analytic":
+        choice = render_gl.choose_format(drawn, depth)
         depth_format = choice.depth_format
         facts |= {"depth": depth_format, "depth_error": choice.error, "reason": choice.reason}
         told += f", {depth_format} depths: {choice.reason}"
     with _steps() as step:
         step("drawing")
-        layers = make_layers(drawn, source.value, depth_format)
+        layers = make_layers(drawn, source, depth_format)
         picture = _picture(drawn, layers, file.look, source, depth_format)
         step("writing")
         if suffix == ".exr":
@@ -162,11 +138,11 @@ def fit(
         bool, typer.Option("--reversed", help="With --layers: the near plane is at depth 1.")
     ] = False,
     source: Annotated[
-        SourceOption | None,
+        Source | None,
         typer.Option(help="Layers by OpenGL passes (the default), or by exact intersection."),
     ] = None,
     depth: Annotated[
-        DepthOption | None, typer.Option(help="Depth format of the passes; linear by default.")
+        Depths | None, typer.Option(help="Depth format of the passes; linear by default.")
     ] = None,
     tone_curve: Annotated[
         str | None,
@@ -224,8 +200,8 @@ def fit(
         near=near,
         far=far,
         is_reversed=is_reversed,
-        source=(source or SourceOption.raster).value,
-        depth_format=(depth or DepthOption.linear).value,
+        source=source or "raster",
+        depth_format=depth or "linear",
         tone_curve=_tone_curve(tone_curve),
         mask=mask,
         free=assignments.names(free),
@@ -256,10 +232,11 @@ def check(
     out: Annotated[
         str | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for the three EXRs.")
     ] = None,
-    depth: Depth = DepthOption.auto,
+    depth: DepthOption = "auto",
     source: Annotated[
-        DrawnOption, typer.Option(help="Depths of each pixel's own ray, or the paper's meshes.")
-    ] = DrawnOption.raster,
+        render_gl.Source,
+        typer.Option(help="Depths of each pixel's own ray, or the paper's meshes."),
+    ] = "raster",
     as_json: JsonOption = False,
 ) -> None:
     """Hold the OpenGL picture against JAX on the same layers, and the layers against exact ones."""
@@ -267,7 +244,7 @@ def check(
     folder = prepare_folder(out if out is not None else f"{file.path.stem}-check")
     with _steps() as step:
         step("drawing and comparing")
-        found = render_gl.check_scene(file.scene, file.look, depth.value, source.value)
+        found = render_gl.check_scene(file.scene, file.look, depth, source)
         step("writing")
         for name, picture in (
             ("glsl", found.parity.glsl),
@@ -357,14 +334,11 @@ def _check_paths(paths: list[str], layers: str | None) -> None:
         )
 
 
-def _picture(
-    scene: Scene, layers: Layers, look: Look, source: SourceOption, depth_format: str
-) -> Any:
+def _picture(scene: Scene, layers: Layers, look: Look, source: Source, depth_format: str) -> Any:
     """The picture by the source's own combine: JAX's for analytic, else the shader's."""
-    if source is SourceOption.analytic:
+    if source == "analytic":
         return composite(layers, look)
-    drawn: render_gl.Source = "mesh" if source is SourceOption.mesh else "raster"
-    return render_gl.render_image(scene, look, depth_format, drawn)
+    return render_gl.render_image(scene, look, depth_format, source)
 
 
 def _resized(scene: Scene, size: str) -> Scene:

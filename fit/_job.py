@@ -45,7 +45,7 @@ from ._report import Section, photo_section, report_html
 from ._result import FitResult
 from ._solve import make_solver
 
-Source = Literal["raster", "mesh", "analytic"]
+Source = Literal[render_gl.Source, "analytic"]
 FILES = ("fit.json", "report.html", "image.exr", "residual.exr", "layers.exr", "influence.exr")
 """What a fit of one photo leaves; the last only where a value was told."""
 DISTRIBUTIONS = ("airlight", "jax", "optimistix", "numpy", "moderngl", "OpenEXR")

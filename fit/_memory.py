@@ -3,8 +3,8 @@
 The C library, where it is glibc, keeps what was freed in blocks below 32 MB, and what compiling
 left behind: hundreds of MB beside a large photo's own. JAX keeps every program that it has
 compiled, and each holds memory maps, a descent's three hundred. Linux gives a process 65,530 of
-them (`vm.max_map_count`), and beyond the compiler ends in a segmentation fault: 54 fits of ever new
-sizes and options held 44,000 of them, and 4 GB.
+them (`vm.max_map_count`), and beyond the compiler ends in a segmentation fault: 26 fits of ever new
+sizes and options hold 13,800 of them, and 1.9 GB.
 """
 
 import ctypes
@@ -15,7 +15,7 @@ from pathlib import Path
 import jax
 
 MOST_MAPS = 8_000
-"""From this many on programs go: those of twenty fits of ever new options, 0.9 GB."""
+"""From this many on programs go: those of eleven fits of ever new sizes and options, 1.2 GB."""
 
 _M_MMAP_THRESHOLD = -3
 

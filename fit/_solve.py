@@ -149,13 +149,7 @@ def descend(
 _gram = eqx.filter_jit(gram)
 """For the solver's program, which traces it once."""
 
-
-@program
-def exact_gram(
-    entries: Float[AnyArray, " e"], along: Float[AnyArray, "e p"], samples: Samples, model: Model
-) -> Float[jax.Array, "q q"]:
-    """`gram`, compiled."""
-    return gram(entries, along, samples, model)
+exact_gram = program(gram)
 
 
 @program

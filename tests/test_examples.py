@@ -19,8 +19,6 @@ from fit import fit, load_photo
 from fit._job import Job, run_job
 from model_jax import Look, analytic_layers, combine
 
-from . import quick
-
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
@@ -75,11 +73,11 @@ def test_no_gradient_is_nan_on_any_example(name: str) -> None:
 
     floats = eqx.filter(layers, lambda leaf: isinstance(leaf, jax.Array))
     rest = eqx.filter(layers, lambda leaf: not isinstance(leaf, jax.Array))
-    by_layers = quick.jit(jax.grad(lambda a, look: loss(eqx.combine(a, rest), look), (0, 1)))
+    by_layers = jax.jit(jax.grad(lambda a, look: loss(eqx.combine(a, rest), look), (0, 1)))
     gradients = by_layers(floats, Look())
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradients))
     light = jax.grad(lambda s: jnp.sum(combine(analytic_layers(s), Look())))
-    by_scene = eqx.filter_jit(light, compiler_options=quick.SHORT_WAIT)(scene)
+    by_scene = eqx.filter_jit(light)(scene)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(by_scene))
     assert any(np.any(leaf) for leaf in jax.tree.leaves(by_scene))
 

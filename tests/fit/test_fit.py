@@ -113,7 +113,7 @@ def replace_light(look: Look, scale: float) -> Look:
     "solver",
     [
         *("lm", "dogleg", "bfgs"),
-        # Of these the default tests have the matrix.
+        # By default these run in test_matrix.py only.
         *(
             pytest.param(name, marks=pytest.mark.full)
             for name in ("gauss_newton", "lbfgs", "nelder_mead")

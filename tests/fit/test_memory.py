@@ -53,7 +53,7 @@ print(json.dumps(rows))
 """
 
 ONE_FIT = 2_500
-"""Maps that one fit of a new kind may add: six descents at most, of 400 each."""
+"""Maps that one fit of a new kind may add: six descents at most, of 300 each, and the errors'."""
 
 
 def loop(count: int, limit: int) -> list[tuple[int, int, int]]:

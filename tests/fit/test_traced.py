@@ -13,7 +13,6 @@ import pytest
 from fit import FitResult, TracedFit, Verdict, _search, _traced, fit
 from model_jax import InputError, Layers, Look, Response, analytic_layers
 
-from .. import quick
 from .looks import START, TRUTH, picture, scene
 
 NOISE = 0.02
@@ -33,7 +32,7 @@ def test_vmap_over_photos_is_a_loop_over_fits(layers: Layers, stack: np.ndarray)
 
     The bound is a tenth of a standard error: far above float32, far below what would matter.
     """
-    many = quick.jit(jax.vmap(lambda photo: fit(photo, layers, START)))(jnp.asarray(stack))
+    many = jax.jit(jax.vmap(lambda photo: fit(photo, layers, START)))(jnp.asarray(stack))
     assert isinstance(many, TracedFit)
     converged = int(Verdict.CONVERGED)
     assert many.verdict.tolist() == [converged] * 3 + [int(Verdict.NO_DATA)]
@@ -60,7 +59,7 @@ def test_a_bound_is_told_as_in_a_loop(layers: Layers) -> None:
     photo = (some - 1.5 * (more - some) + noise).astype(np.float32)  # at a weight of -0.1
     known = fit(photo, layers, START)
     assert known.verdict == "at_bound"
-    traced = quick.jit(lambda photo: fit(photo, layers, START))(photo)
+    traced = jax.jit(lambda photo: fit(photo, layers, START))(photo)
     assert int(traced.verdict) == Verdict.AT_BOUND
     assert float(traced.look.shadow) == pytest.approx(0, abs=1e-3)
     errors = dict(zip(traced.names, np.diag(traced.covariance), strict=True))
@@ -72,7 +71,7 @@ def test_a_bound_is_told_as_in_a_loop(layers: Layers) -> None:
 def test_samples_that_are_not_finite_do_not_count(layers: Layers, stack: np.ndarray) -> None:
     broken = stack[0].copy()
     broken[20:40, 30:60] = np.nan
-    traced = quick.jit(lambda photo: fit(photo, layers, START))(broken)
+    traced = jax.jit(lambda photo: fit(photo, layers, START))(broken)
     known = fit(broken, layers, START)
     assert int(traced.verdict) == Verdict.CONVERGED
     assert float(traced.look.shadow) == pytest.approx(float(known.look.shadow), rel=1e-4)
@@ -97,7 +96,7 @@ def test_derivative_by_pixels(layers64: Layers, photo64: np.ndarray) -> None:
     h²/6: with a step of 5 % of the noise in one of 35,000 samples far below the 1e-5 allowed.
     """
     with jax.enable_x64(True):
-        slope = quick.jit(jax.grad(lambda photo: fit(photo, layers64, START).look.shadow))
+        slope = jax.jit(jax.grad(lambda photo: fit(photo, layers64, START).look.shadow))
         by_photo = np.asarray(slope(jnp.asarray(photo64)))
     result = fit(photo64, layers64, START)
     influence = result.influence("shadow")
@@ -128,7 +127,7 @@ def test_derivative_by_what_is_fixed(layers64: Layers, photo64: np.ndarray) -> N
 
     with jax.enable_x64(True):
         at = [jnp.asarray(value) for value in (0.01, 1.3, 1.1)]
-        slopes = np.stack(quick.jit(jax.jacrev(fitted, argnums=(0, 1, 2)))(*at))
+        slopes = np.stack(jax.jit(jax.jacrev(fitted, argnums=(0, 1, 2)))(*at))
 
     def refit(**held: float) -> FitResult:
         values = {"background": 0.01, "blue": 1.3, "exposure": 1.1} | held
@@ -161,22 +160,22 @@ def test_too_few_steps_do_not_converge(
     ):
         monkeypatch.setattr(module, name, steps)
     far = Look(1.0, 30.0)
-    traced = quick.jit(jax.vmap(lambda photo: fit(photo, layers, far)))(stack[:2])
+    traced = jax.jit(jax.vmap(lambda photo: fit(photo, layers, far)))(stack[:2])
     assert traced.verdict.tolist() == [int(Verdict.NOT_CONVERGED)] * 2
     assert np.isnan(np.asarray(traced.covariance)).all()
     assert fit(stack[0], layers, far, max_steps=1).verdict == Verdict.NOT_CONVERGED.label
 
 
 def test_what_a_traced_photo_cannot_tell(layers: Layers, stack: np.ndarray) -> None:
-    both = quick.jit(lambda photo: fit(photo, layers, START, free=("brightness", "exposure")))
+    both = jax.jit(lambda photo: fit(photo, layers, START, free=("brightness", "exposure")))
     assert int(both(stack[0]).verdict) == Verdict.NOT_IDENTIFIABLE
 
 
 def test_what_cannot_be_traced_is_an_error(layers: Layers, stack: np.ndarray) -> None:
     with pytest.raises(InputError, match="loss='linear'"):
-        quick.jit(lambda photo: fit(photo, layers, loss="cauchy"))(stack[0])
+        jax.jit(lambda photo: fit(photo, layers, loss="cauchy"))(stack[0])
     dark = analytic_layers(scene(sun=False))
     with pytest.raises(InputError, match="no shadow"):
-        quick.jit(lambda photo: fit(photo, dark, START))(stack[0])
+        jax.jit(lambda photo: fit(photo, dark, START))(stack[0])
     with pytest.raises(InputError, match="layers are traced"):
-        quick.jit(lambda photo, traced: fit(photo, traced, START))(stack[0], layers)
+        jax.jit(lambda photo, traced: fit(photo, traced, START))(stack[0], layers)

@@ -31,7 +31,6 @@ from model_jax import (
     layer_widths,
 )
 
-from .. import quick
 from .scenes import ECLIPSES, LENGTHS, SCENES, scene_of
 
 RELATIVE = 1e-6
@@ -135,9 +134,9 @@ def test_combine(name: str, rng: np.random.Generator) -> None:
 def modes(function: Function) -> tuple[Callable, Callable, Callable]:
     """The function, its forward and its reverse mode, compiled once for all that share it."""
     return (
-        quick.jit(function),
-        quick.jit(lambda point, along: jax.jvp(function, (point,), (along,))[1]),
-        quick.jit(lambda point, weights: jax.vjp(function, point)[1](weights)[0]),
+        jax.jit(function),
+        jax.jit(lambda point, along: jax.jvp(function, (point,), (along,))[1]),
+        jax.jit(lambda point, weights: jax.vjp(function, point)[1](weights)[0]),
     )
 
 
@@ -224,7 +223,7 @@ def loss_of(scene: Scene, look: Look, dtype: np.dtype) -> jax.Array:
     return sum(jnp.sum(jnp.sqrt(1 + w * w)) for w in widths) + jnp.sum(picture * picture)
 
 
-gradients = eqx.filter_jit(jax.grad(loss_of, argnums=(0, 1)), compiler_options=quick.SHORT_WAIT)
+gradients = eqx.filter_jit(jax.grad(loss_of, argnums=(0, 1)))
 
 
 SLOW = {

@@ -8,7 +8,6 @@ import pytest
 
 from model_jax import Layers, Look, Scene, analytic_layers, combine, layer_widths
 
-from .. import quick
 from .scenes import OCTANTS
 
 SCENE_LIST = list(OCTANTS.values())[:3]
@@ -66,8 +65,8 @@ def test_grad_of_vmap_of_scene_and_look() -> None:
     def loss(scenes: Scene, looks: Look) -> jax.Array:
         return jnp.sum(jax.vmap(one)(scenes, looks))
 
-    gradient = quick.jit(jax.grad(one, 1))
-    by_scene, by_look = quick.jit(jax.grad(loss, (0, 1)))(scenes, stacked)
+    gradient = jax.jit(jax.grad(one, 1))
+    by_scene, by_look = jax.jit(jax.grad(loss, (0, 1)))(scenes, stacked)
     for leaf in jax.tree.leaves((by_scene, by_look)):
         assert np.all(np.isfinite(leaf))
     # Sums of 825 pixels whose grazing ones differ by rounding: √eps of one pixel of many.
@@ -86,7 +85,7 @@ def test_hessian_of_a_quadratic_loss_is_the_normal_matrix(dtype: np.dtype) -> No
     def loss(brightness: jax.Array) -> jax.Array:
         return jnp.sum(combine(layers, Look(brightness=brightness))[..., :3] ** 2)
 
-    hessian = quick.jit(jax.grad(jax.grad(loss)))(jnp.asarray(2.0, dtype))
+    hessian = jax.jit(jax.grad(jax.grad(loss)))(jnp.asarray(2.0, dtype))
     expected = 2 * float(loss(jnp.asarray(1.0, dtype)))
     assert expected > 0
     # 825 · 3 rounded terms, all of one sign.
