@@ -746,6 +746,15 @@ def _photo_results(
     return found
 
 
+def _interval(p: Parameter, value: float, reach: float) -> tuple[float, float]:
+    """What is within reach of a value and allowed: no truth lies beyond a bound, so the interval
+    that ends there covers as often."""
+    return (
+        min(max(value - reach, p.lower), value),
+        max(min(value + reach, p.upper), value),
+    )
+
+
 def _estimate(
     p: Parameter,
     value: float,
@@ -760,7 +769,7 @@ def _estimate(
     return Estimate(
         value=value,
         stderr=stderr,
-        interval=None if reach is None else (value - reach, value + reach),
+        interval=None if reach is None else _interval(p, value, reach),
         initial=p.value,
         role=role,
         unit=p.unit,
@@ -874,8 +883,13 @@ def _warnings(result: FitResult, photos: Sequence[PhotoLike]) -> tuple[str, ...]
     background = [e for n, e in result.parameters.items() if n.startswith("background")]
     if any(e.stderr is not None and e.value + 3 * e.stderr < 0 for e in background):
         found.append("The background came out negative: the model takes light away.")
+    beside = [f"{n} is {e.one_sided}" for n, e in result.parameters.items() if e.one_sided]
+    if beside:
+        found.append(
+            f"Within its own error of a bound, so told on one side only: {', '.join(beside)}."
+        )
     drawn = {
-        name: (e.layer_error, e.interval[1] - e.value)
+        name: (e.layer_error, max(e.interval[1] - e.value, e.value - e.interval[0]))
         for name, e in result.parameters.items()
         if e.layer_error is not None and e.interval is not None
     }

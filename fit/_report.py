@@ -25,6 +25,7 @@ from ._wording import (
     SECOND_OPINIONS,
     clipped_note,
     close_pairs,
+    interval_of,
     known_before,
     measured,
     number,
@@ -32,7 +33,6 @@ from ._wording import (
     role_of,
     share,
     shown_parameters,
-    span,
     verdict_sentence,
 )
 
@@ -333,7 +333,7 @@ def _row(name: str, estimate: dict[str, Any]) -> dict[str, Any]:
     return {
         "name": name,
         "value": measured(estimate.get("value"), stderr),
-        "interval": span(estimate.get("interval")),
+        "interval": interval_of(estimate),
         "initial": number(estimate.get("initial")),
         "prior": known_before(estimate.get("prior")) or "—",
         "bounds": range_of(estimate.get("bounds")),

@@ -14,6 +14,8 @@ from jaxtyping import Bool, Float
 
 from model_jax import InputError, Look, Response
 
+from ._wording import number
+
 
 class Verdict(IntEnum):
     """How a fit ended."""
@@ -80,7 +82,8 @@ class Estimate:
     """One standard deviation; None where the photo did not tell the value."""
     interval: tuple[float, float] | None
     """95 %: covers the truth in 19 of 20 photos of the same thing. Student's t with the degrees of
-    freedom of the blocks behind the standard error; None with `stderr`."""
+    freedom of the blocks behind the standard error, and nothing beyond a bound; None with
+    `stderr`."""
     initial: float
     """What the start had."""
     role: str
@@ -108,6 +111,18 @@ class Estimate:
     def free(self) -> bool:
         """It was fitted, or ended at a bound."""
         return self.role in ("free", "at_bound")
+
+    @property
+    def one_sided(self) -> str:
+        """In words what is told of a value within its own error of a bound: "at most 0.16"; else
+        empty."""
+        if self.stderr is None or self.interval is None:
+            return ""
+        if self.value - self.stderr <= self.bounds[0]:
+            return f"at most {number(self.interval[1], 3)}"
+        if self.value + self.stderr >= self.bounds[1]:
+            return f"at least {number(self.interval[0], 3)}"
+        return ""
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,13 @@ from ._wording import (
     clipped_note,
     close_pairs,
     curve_in_words,
+    interval_of,
     known_before,
     measured,
     number,
     role_of,
     share,
     shown_parameters,
-    span,
     verdict_sentence,
 )
 
@@ -159,7 +159,7 @@ def _parameters(document: dict[str, Any], width: int) -> Table:
     columns: dict[str, list[str]] = {
         "parameter": list(rows),
         "value ± stderr": [measured(row["value"], row["stderr"]) for row in rows.values()],
-        "95 % interval": [_or_blank(span(row["interval"])) for row in rows.values()],
+        "95 % interval": [_or_blank(interval_of(row)) for row in rows.values()],
         "rounding ≤": [_or_blank(number(row["quantisation_bound"], 2)) for row in rows.values()],
         "JPEG": [_or_blank(number(row.get("compression_shift"), 2)) for row in rows.values()],
         "start": [number(row["initial"]) for row in rows.values()],

@@ -99,6 +99,16 @@ def span(limits: Sequence[float | None] | None) -> str:
     return f"{number(low, digits)} … {number(high, digits)}"
 
 
+def interval_of(row: Mapping[str, Any]) -> str:
+    """A parameter's interval; `≤ 0.16` where it ends at a bound, for nothing is known that side."""
+    limits, bounds = row.get("interval"), row.get("bounds") or (None, None)
+    if limits and None not in limits:
+        low, high = (limit == bound for limit, bound in zip(limits, bounds, strict=True))
+        if low != high:
+            return f"≤ {number(limits[1], 3)}" if low else f"≥ {number(limits[0], 3)}"
+    return span(limits)
+
+
 def known_before(prior: Sequence[float | None] | None) -> str:
     """A prior as `mean ± sigma`; empty without one."""
     return "" if not prior else f"{number(prior[0])} ± {number(prior[1], 2)}"

@@ -148,6 +148,29 @@ def test_the_end_at_a_bound_is_the_best_corner(seed: int) -> None:
     assert square_sum(photo, layers, result) <= best * (1 + 1e-6)
 
 
+def test_intervals_end_at_bounds(layers: Layers) -> None:
+    """A channel that hardly shines, under noise: no interval holds what is not allowed, and a value
+    within its own error of 0 is told as "at most". Seeds of 0 to 5 show both kinds."""
+    light = picture(layers, Look(3.0, 0.02, (0.01, 1.2, 1.79), 0.01)).astype(float)
+    told = []
+    for seed in range(6):
+        noise = np.random.default_rng(seed).normal(scale=0.2, size=light.shape)
+        result = fit((light + noise).astype(np.float32), layers)
+        for name in result.correlation_names:
+            e = result.parameters[name]
+            assert e.stderr is not None
+            assert e.interval is not None
+            low, high = e.interval
+            assert e.bounds[0] <= low <= e.value <= high <= e.bounds[1], name
+            beside = bool(e.value - e.stderr <= e.bounds[0])
+            assert e.one_sided == (f"at most {high:.3g}" if beside else "")
+            told.append(beside)
+            assert any(f"{name} is at most" in w for w in result.warnings) == beside
+            assert (f"≤ {high:.3g}" in result.report()) == (low == e.bounds[0])
+    assert any(told)
+    assert not all(told)
+
+
 def test_surface_is_added(layers: Layers) -> None:
     surface = np.random.default_rng(5).uniform(0, 0.3, size=(128, 160, 3)).astype(np.float32)
     covered = Layers(
