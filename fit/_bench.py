@@ -90,14 +90,13 @@ def run_bench(
         quick: a sixteenth of the pixels, three repeats, nothing of 13.6 megapixels.
 
     Raises:
-        InputError: SciPy, the peer, is not installed; the folder cannot be written.
+        InputError: the folder cannot be written.
     """
-    least_squares = _scipy()
     repeats = 3 if quick else REPEATS
     width, height = (n // (4 if quick else 1) for n in SIZE)
     layers, photo = _picture(width, height)
     columns = take_columns(photo, layers, choose_pixels(photo, layers), float(layers.width_unit))
-    best = _scipy_fit(least_squares, columns, np.array([3.0, 0.2, 0.8, 0.9]), 1e-15)
+    best = _scipy_fit(columns, np.array([3.0, 0.2, 0.8, 0.9]), 1e-15)
     n = len(columns.lit)
     rows: list[Row] = []
 
@@ -124,7 +123,7 @@ def run_bench(
     add("airlight, gamma free too", lambda: _solve(columns, ("gamma",)), lambda v: None, "bins")
     trf = add(
         "SciPy trf, analytic Jacobian",
-        lambda: _scipy_fit(least_squares, columns, start, 1e-8),
+        lambda: _scipy_fit(columns, start, 1e-8),
         lambda v: v,
     )
     dense = add("optimistix LM, dense float32", lambda: _dense(columns, start), lambda v: v)
@@ -143,17 +142,6 @@ def run_bench(
         progress("13.6 megapixels, whole command")
         rows.append(_memory_row())
     return _write(Path(out), rows, one_pass)
-
-
-def _scipy() -> Any:
-    try:
-        from scipy.optimize import least_squares
-    except ImportError:
-        raise InputError(
-            "bench: SciPy is not installed, and it is the peer to compare with; "
-            "install airlight with its extra, airlight[peers]"
-        ) from None
-    return least_squares
 
 
 def _scene(width: int, height: int) -> Scene:
@@ -226,9 +214,11 @@ def _of_result(result: FitResult) -> list[float]:
 
 
 def _scipy_fit(
-    least_squares: Any, columns: Columns, start: Float[np.ndarray, "4"], tolerance: float
+    columns: Columns, start: Float[np.ndarray, "4"], tolerance: float
 ) -> Float[np.ndarray, "4"]:
     """Trust-region reflective, as a careful user calls it: analytic Jacobian, scaled columns."""
+    from scipy.optimize import least_squares  # a tenth of a second to import, and only here
+
     lit, light, color = columns.lit, columns.light, columns.color
     dark = columns.dark if columns.dark is not None else np.zeros_like(lit)
 

@@ -21,6 +21,7 @@ import render_gl
 from model_jax import AirlightError, InputError, Layers, Look, Scene, Srgb, composite
 
 from . import _assignments as assignments
+from ._compression import JpegHandling
 from ._export import Format, export_text, read_fit, write_export
 from ._job import Job, Source, make_layers, prepare_folder, run_job, versions
 from ._terminal import print_bench, print_check, print_fit
@@ -175,6 +176,10 @@ def fit(
     loss: Annotated[
         str, typer.Option(help="linear, or to doubt outliers: huber, soft_l1, cauchy.")
     ] = "linear",
+    jpeg: Annotated[
+        JpegHandling,
+        typer.Option(help="undo: correct for what JPEG did to the photo, for seconds."),
+    ] = "keep",
     solver: Annotated[
         str, typer.Option(help="lm, dogleg, gauss_newton, bfgs, lbfgs or nelder_mead.")
     ] = "lm",
@@ -210,6 +215,7 @@ def fit(
         priors=assignments.priors(prior or ()),
         tied=assignments.ties(tie or ()),
         loss=loss,
+        jpeg=jpeg,
         solver=solver,
         max_steps=max_steps,
         command=shlex.join(["airlight", *sys.argv[1:]]),

@@ -21,7 +21,7 @@ from model_jax._shapes import AnyArray, is_traced
 
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
 from ._compile import program
-from ._compression import Undone, undo_compression
+from ._compression import JpegHandling, Undone, check_jpeg, is_coarse, undo_compression
 from ._loss import Loss, LossName, check_loss, weigh
 from ._memory import bound_programs, give_back
 from ._parameters import (
@@ -85,6 +85,8 @@ BELIEVED = 0.25
 """Weight from which a sample of a robust fit counts as light to be explained: with Cauchy's loss
 that of four standard deviations of the noise."""
 
+_ROUNDING = 1e-9
+"""Noise there is at least, of the brightest sample."""
 _ROUNDS = 6
 _SAME_NOISE = 0.01
 """Relative change of the noise estimate below which no further round is made."""
@@ -119,6 +121,7 @@ def fit(
     priors: Mapping[str, tuple[float, float]] | None = ...,
     tied: Mapping[str, str] | None = ...,
     loss: str = ...,
+    jpeg: str = ...,
     solver: str = ...,
     max_steps: int | None = ...,
 ) -> FitResult: ...
@@ -135,6 +138,7 @@ def fit(
     priors: Mapping[str, tuple[float, float]] | None = None,
     tied: Mapping[str, str] | None = None,
     loss: str = "linear",
+    jpeg: str = "keep",
     solver: str = "lm",
     max_steps: int | None = None,
 ) -> FitResult | TracedFit:
@@ -161,6 +165,8 @@ def fit(
         tied: name → name it shall equal, of the same kind: `{"gamma.2": "gamma.1"}`.
         loss: "linear" (least squares), "huber", "soft_l1" or "cauchy"; the robust ones doubt
             samples whose residual is large beside the median.
+        jpeg: "undo" corrects values and intervals for what JPEG did to the photos, by fits to files
+            that are compressed alike, for seconds; "keep" warns of it only.
         solver: lm, dogleg, gauss_newton, bfgs, lbfgs or nelder_mead, of optimistix.
         max_steps: of the solver, for each of the few descents.
 
@@ -180,10 +186,11 @@ def fit(
     photos, all_layers = _pairs(photo, layers)
     responses = _responses(response, len(photos))
     parameters = declare(look, responses, free=free, bounds=bounds, priors=priors, tied=tied)
-    loss_name = check_loss(loss)
+    loss_name, handling = check_loss(loss), check_jpeg(jpeg)
     make_solver(solver)
     steps = MAX_STEPS.get(solver, 256) if max_steps is None else max_steps
-    task = _Task(photos, all_layers, look, parameters, loss_name, solver, steps, free is not None)
+    named = free is not None
+    task = _Task(photos, all_layers, look, parameters, loss_name, handling, solver, steps, named)
 
     times = [perf_counter()]
     pixels = [choose_pixels(p, la) for p, la in zip(photos, all_layers, strict=True)]
@@ -255,6 +262,7 @@ class _Task:
     look: Look
     parameters: tuple[Parameter, ...]
     loss: LossName
+    jpeg: JpegHandling
     solver: str
     max_steps: int
     named: bool
@@ -410,7 +418,7 @@ def _noise(
     1.4826 median |r| is the standard deviation of normal residuals (Hampel, J. Am. Stat. Assoc. 69,
     1974). Never quite zero: a prior and a bound need something to be measured in.
     """
-    least = 1e-9 * problem.light_max
+    least = _ROUNDING * problem.light_max
     if task.loss == "linear":
         counted = [_square_sum(r[:, k]) for r in residuals for k in range(3)]
         known, square_sum = np.sum(counted, axis=0)
@@ -533,13 +541,17 @@ def _judge(
             along,
             residuals,
             noise,
+            _ROUNDING * problem.light_max,
         )
         evidence = Evidence(task, problem, end, along, told, spread)
         rows = evidence.to_told()
         covariance = rows @ spread.covariance @ rows.T
         reach = reach_95(spread.freedom(rows))
         bias, drawn = _bias(evidence, rows), _drawn(evidence, rows)
-        undone = _undone(evidence, residuals, noise)
+        undone = _undone(evidence, residuals, noise) if task.jpeg == "undo" else None
+        if isinstance(undone, str):
+            left_out = [*left_out, LeftOut("what JPEG did", undone)]
+            undone = None
         if undone is not None:
             vector = end.vector + along @ undone.shift
             covariance = rows @ undone.covariance @ rows.T
@@ -599,7 +611,7 @@ def _judge(
         second_opinion=end.second,
         evidence=evidence,
     )
-    warnings = _warnings(result, task.photos)
+    warnings = _warnings(result, task)
     message = _message(verdict, result, [p.name for p in end.at_bound])
     return replace(result, warnings=warnings, message=" ".join([message, *warnings]))
 
@@ -681,21 +693,21 @@ def _shifted(
 
 def _undone(
     evidence: Evidence, residuals: Sequence[Float[np.ndarray, "_ 3"]], noise: float
-) -> Undone | None:
-    """The look before JPEG; None where no photo was one, or of no kind that can be done again.
-
-    Nor where what is left over is neither noise nor made by compression, or much is clipped: what
-    the light before was is not known then.
-    """
+) -> Undone | str:
+    """The look before JPEG, or why it is not known."""
     task, problem, end = evidence.task, evidence.problem, evidence.end
     lossy = [p for p in task.photos if isinstance(p, Photo) and p.lossy]
-    if not lossy or any(p.jpeg is None for p in lossy):
-        return None
+    if not lossy:
+        return "no photo is a JPEG"
+    if any(p.jpeg is None for p in lossy):
+        return "a grey JPEG, or one of an uncommon kind, cannot be compressed again alike"
+    if any(is_coarse(p.jpeg) for p in lossy if p.jpeg is not None):
+        return "the file is compressed so much that it does not show its noise"
     if not end.settled or not evidence.along.shape[1]:
-        return None
+        return "nothing was told that it could be taken off"
     clipped = 3 * sum(len(c.lit) for c in problem.columns) - problem.count
     if clipped > MOST_CLIPPED * problem.count:
-        return None
+        return f"more than {MOST_CLIPPED:.0%} of the samples are clipped"
     return undo_compression(
         task.photos,
         task.layers,
@@ -865,7 +877,7 @@ def _without_data(
     )
 
 
-def _warnings(result: FitResult, photos: Sequence[PhotoLike]) -> tuple[str, ...]:
+def _warnings(result: FitResult, task: _Task) -> tuple[str, ...]:
     found = []
     explained, errors = result.explained, result.errors
     told = [result.parameters[name] for name in result.correlation_names]
@@ -900,11 +912,13 @@ def _warnings(result: FitResult, photos: Sequence[PhotoLike]) -> tuple[str, ...]
             f"The layers hold a mesh, whose error can shift values by more than their intervals "
             f"say ({shifts}): use more planet.triangles, no relief, or --source raster."
         )
-    lossy = any(isinstance(p, Photo) and p.lossy for p in photos)
+    lossy = any(isinstance(p, Photo) and p.lossy for p in task.photos)
     if lossy and told and not undone:
+        asked = task.jpeg == "undo"
         found.append(
             "The photo's compression rounds colours block by block, which the intervals know only "
-            "in part: fit the picture before it was compressed, if there is one."
+            "in part: fit the picture before it was compressed, if there is one"
+            + ("." if asked else ", or let its JPEG be undone (--jpeg undo).")
         )
     return tuple(found)
 

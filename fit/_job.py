@@ -36,6 +36,7 @@ from model_jax import (
 )
 from model_jax._shapes import AnyArray
 
+from ._compression import check_jpeg
 from ._fit import fit
 from ._loss import check_loss
 from ._memory import give_back, map_large_blocks
@@ -81,6 +82,7 @@ class Job:
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     tied: Mapping[str, str] = field(default_factory=dict)
     loss: str = "linear"
+    jpeg: str = "keep"
     solver: str = "lm"
     max_steps: int | None = None
     command: str = ""
@@ -142,6 +144,7 @@ def run_job(
         priors=job.priors,
         tied=job.tied,
         loss=job.loss,
+        jpeg=job.jpeg,
         solver=job.solver,
         max_steps=job.max_steps,
     )
@@ -190,6 +193,7 @@ def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
     """What `fit` would refuse, before anything is read or drawn."""
     declare(look, responses, free=job.free, bounds=job.bounds, priors=job.priors, tied=job.tied)
     check_loss(job.loss)
+    check_jpeg(job.jpeg)
     make_solver(job.solver)
     if job.max_steps is not None and job.max_steps < 1:
         raise InputError(f"max-steps: {job.max_steps} is too few; allow 1 or more")

@@ -118,6 +118,7 @@ def spread_of(
     along: Float[np.ndarray, "e p"],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
     noise: float,
+    rounding: float,
 ) -> Spread:
     """The covariance at an end point.
 
@@ -125,6 +126,8 @@ def spread_of(
         sizes: height and width of each photo.
         residuals: of each photo, by `residuals_of`.
         noise: standard deviation of a sample, which priors are measured in.
+        rounding: noise that there is at least, also where the model meets every sample: no value is
+            known better than numbers are.
     """
     p = along.shape[1]
     length, area, products = _correlation(columns, sizes, residuals)
@@ -148,6 +151,7 @@ def spread_of(
     whitened = np.einsum("gij,gj->gi", _stretch(leverage), scores @ whiten)
     middle = whitened.T @ whitened * _border_share(products, side)
     middle += noise**2 * whiten.T @ prior @ whiten
+    middle += rounding**2 * leverage.sum(axis=0)
     root = whiten @ np.linalg.inv(whiten.T @ hessian @ whiten)
     covariance = root @ middle @ root.T
     return Spread(covariance, hessian, length, side, blocks, area, root, leverage)

@@ -13,7 +13,7 @@ from fit import FitResult, Photo, fit, load_photo
 from fit._compression import _bounded, _Camera, _Noise, _read_backwards
 from fit._parameters import declare, directions, to_entries
 from fit._pixels import Columns
-from model_jax import Exposure, Layers, Look, Response
+from model_jax import Exposure, InputError, Layers, Look, Response
 from model_jax._tone import Srgb
 
 from .looks import START, picture
@@ -186,8 +186,8 @@ def distances(result: FitResult) -> np.ndarray:
 def test_the_values_are_those_before_compression(layers64: Layers, tmp_path: Path) -> None:
     """Least squares of a JPEG's codes is off by more than four of its standard errors somewhere."""
     photo = shot(layers64, tmp_path, "a.jpg")
-    plain = fit(replace(photo, jpeg=None), layers64, START)
-    undone = fit(photo, layers64, START)
+    plain = fit(photo, layers64, START)
+    undone = fit(photo, layers64, START, jpeg="undo")
     assert np.abs(distances(plain)).max() > 4
     assert np.abs(distances(undone)).max() < 4
     assert any("compression" in warning for warning in plain.warnings)
@@ -201,7 +201,7 @@ def test_the_values_are_those_before_compression(layers64: Layers, tmp_path: Pat
     assert undone.verdict == plain.verdict == "converged"
     tints = [undone.parameters[name].value for name in NAMES[2:5]]
     assert np.mean(tints) == pytest.approx(1, abs=1e-12)
-    again = fit(photo, layers64, START)
+    again = fit(photo, layers64, START, jpeg="undo")
     assert again.to_dict()["parameters"] == undone.to_dict()["parameters"]
 
 
@@ -215,7 +215,7 @@ def test_the_values_are_those_before_compression(layers64: Layers, tmp_path: Pat
 )
 def test_other_fits(options: dict[str, Any], layers64: Layers, tmp_path: Path) -> None:
     """They know of the compression too, and what was known before is not forgotten over it."""
-    result = fit(shot(layers64, tmp_path, "a.jpg"), layers64, START, **options)
+    result = fit(shot(layers64, tmp_path, "a.jpg"), layers64, START, jpeg="undo", **options)
     assert result.verdict in ("converged", "at_bound")
     assert result.parameters["brightness"].compression_shift is not None
     shadow = result.parameters["shadow"]
@@ -232,7 +232,11 @@ def test_other_fits(options: dict[str, Any], layers64: Layers, tmp_path: Path) -
 @pytest.mark.parametrize("bound", [0.79, 0.81])
 def test_bounded_tints_keep_their_mean(bound: float, layers64: Layers, tmp_path: Path) -> None:
     result = fit(
-        shot(layers64, tmp_path, "a.jpg"), layers64, START, bounds={"tint.r": (bound, 3.0)}
+        shot(layers64, tmp_path, "a.jpg"),
+        layers64,
+        START,
+        bounds={"tint.r": (bound, 3.0)},
+        jpeg="undo",
     )
     tints = [result.parameters[name].value for name in NAMES[2:5]]
     assert np.mean(tints) == pytest.approx(1, abs=1e-9)
@@ -247,13 +251,14 @@ def test_nothing_free_in_the_end_is_undone(layers64: Layers, tmp_path: Path) -> 
         START,
         free=["tint.r", "tint.g"],
         bounds={"tint.g": (0.5, 0.9)},
+        jpeg="undo",
     )
     assert all(e.compression_shift is None for e in result.parameters.values())
 
 
 def test_much_that_is_clipped_is_not_undone(layers64: Layers, tmp_path: Path) -> None:
     bright = replace(LOOK, brightness=6.0)
-    result = fit(shot(layers64, tmp_path, "a.jpg", bright), layers64, START)
+    result = fit(shot(layers64, tmp_path, "a.jpg", bright), layers64, START, jpeg="undo")
     assert result.photos[0].clipped > 0.05 * 3 * result.photos[0].used.sum()
     assert all(e.compression_shift is None for e in result.parameters.values())
     assert any("compression" in warning for warning in result.warnings)
@@ -262,7 +267,7 @@ def test_much_that_is_clipped_is_not_undone(layers64: Layers, tmp_path: Path) ->
 def test_one_of_two_photos_is_a_jpeg(layers64: Layers, tmp_path: Path) -> None:
     photos = [shot(layers64, tmp_path, "a.jpg"), shot(layers64, tmp_path, "b.png", seed=7)]
     free = ("brightness", "shadow", "tint", "background")
-    result = fit(photos, [layers64] * 2, START, free=free)
+    result = fit(photos, [layers64] * 2, START, free=free, jpeg="undo")
     assert result.verdict == "converged"
     assert np.abs(distances(result)).max() < 4
     assert all(result.parameters[name].compression_shift is not None for name in NAMES)
@@ -281,7 +286,7 @@ def test_structure_that_compression_makes_is_undone(tmp_path: Path) -> None:
     light = picture(layers, truth) + rng.normal(scale=0.003, size=(*shape, 3))
     codes = np.round(255 * np.clip(np.asarray(Srgb().encode(light)), 0, 1)).astype(np.uint8)
     Image.fromarray(codes).save(tmp_path / "a.jpg", quality=85)
-    result = fit(load_photo(tmp_path / "a.jpg"), layers, START)
+    result = fit(load_photo(tmp_path / "a.jpg"), layers, START, jpeg="undo")
     assert result.errors is not None
     assert result.errors.correlation_px > 16
     wanted = dict(zip(NAMES, [0.2, 0.3, 0.9, 1.0, 1.1, 0.05], strict=True))
@@ -298,8 +303,67 @@ def test_structure_is_not_taken_for_noise(layers64: Layers, tmp_path: Path) -> N
     photo = shot(layers64, tmp_path, "a.jpg")
     ramp = np.linspace(0, 25, photo.shape[1]).astype(np.uint8)
     bent = replace(photo, stored=np.minimum(photo.stored, 230) + ramp[None, :, None])
-    result = fit(bent, layers64, START)
+    result = fit(bent, layers64, START, jpeg="undo")
     assert result.errors is not None
     assert result.errors.correlation_px > 16
     assert all(e.compression_shift is None for e in result.parameters.values())
     assert any("compression" in warning for warning in result.warnings)
+
+
+@pytest.mark.parametrize(
+    ("qualities", "why"),
+    [
+        pytest.param((70, 85), "more than once", id="twice"),
+        pytest.param((85, 90), "more than once", id="twice, the finer steps hardly so"),
+        pytest.param((30,), "does not show its noise", id="noise hidden"),
+        pytest.param((5,), "does not show its noise", id="hardly anything left"),
+    ],
+)
+def test_files_that_cannot_be_made_alike(
+    qualities: tuple[int, ...], why: str, layers64: Layers, tmp_path: Path
+) -> None:
+    """What they were before is not known, and the fit says so instead of a number; no standard
+    error is 0."""
+    path = tmp_path / "a.jpg"
+    shot(layers64, tmp_path, "a.png")
+    picture = Image.open(tmp_path / "a.png")
+    for quality in qualities:
+        picture.save(path, quality=quality)
+        picture = Image.open(path).convert("RGB")
+    result = fit(load_photo(path), layers64, START, jpeg="undo")
+    assert all(e.compression_shift is None for e in result.parameters.values())
+    (reason,) = [item.why for item in result.left_out if item.what == "what JPEG did"]
+    assert why in reason
+    assert any("compression" in warning for warning in result.warnings)
+    assert all(result.parameters[name].stderr for name in result.correlation_names)
+
+
+def test_a_second_compression_that_changes_nothing_is_none(
+    layers64: Layers, tmp_path: Path
+) -> None:
+    """By the same steps, or by coarser ones: the last ones say what was lost."""
+    shot(layers64, tmp_path, "a.png")
+    for qualities in ((85, 85), (92, 70)):
+        picture = Image.open(tmp_path / "a.png")
+        for quality in qualities:
+            picture.save(tmp_path / "a.jpg", quality=quality)
+            picture = Image.open(tmp_path / "a.jpg").convert("RGB")
+        result = fit(load_photo(tmp_path / "a.jpg"), layers64, START, jpeg="undo")
+        assert np.abs(distances(result)).max() < 4
+        assert result.parameters["brightness"].compression_shift is not None
+
+
+def test_jpeg_is_undone_where_it_is_asked_for(layers64: Layers, tmp_path: Path) -> None:
+    photo = shot(layers64, tmp_path, "a.jpg")
+    result = fit(photo, layers64, START)
+    assert all(e.compression_shift is None for e in result.parameters.values())
+    (warning,) = [w for w in result.warnings if "compression" in w]
+    assert "--jpeg undo" in warning
+    assert not any(item.what == "what JPEG did" for item in result.left_out)
+    plain = fit(shot(layers64, tmp_path, "b.png"), layers64, START, jpeg="undo")
+    (reason,) = [item.why for item in plain.left_out if item.what == "what JPEG did"]
+    assert reason == "no photo is a JPEG"
+    with pytest.raises(
+        InputError, match=r"jpeg: 'never' is unknown; choose from \['keep', 'undo'\]"
+    ):
+        fit(photo, layers64, START, jpeg="never")

@@ -52,6 +52,7 @@ class Noise:
     """Of each photo."""
     more: tuple[str, ...] = ("background",)
     """What is fitted besides `LOOK`."""
+    jpeg: str = "keep"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -112,7 +113,7 @@ NOISES = {
     "by_brightness": Noise(by_brightness, (0.03, 0.08)),
     "blurred": Noise(blurred, (0.03, 0.08)),
     "clipped": Noise(rounded, (0.03, 0.08), (3.2, 4.2)),
-    "compressed": Noise(compressed, (0.1, 0.2)),
+    "compressed": Noise(compressed, (0.1, 0.2), jpeg="undo"),
     "response": Noise(
         gaussian, (0.03, 0.08), responses=one_response, more=("gamma", "black_level")
     ),
@@ -158,7 +159,7 @@ def outcome(noise: Noise, layers: Layers, count: int, seed: int, folder: Path) -
         photos = [noise.record(one, rng, folder) for one in recorded]
         # What is not fitted is known.
         start = replace(START, background=0.0 if "background" in names else look.background)
-        result = fit(photos, [layers] * len(photos), start, free=names)
+        result = fit(photos, [layers] * len(photos), start, free=names, jpeg=noise.jpeg)
         assert result.verdict == "converged", (k, result.message)
         truth = {p.name: float(p.value) for p in declare(look, responses)}
         for j, name in enumerate(names):

@@ -59,6 +59,15 @@ def test_white_noise_has_no_correlation(rng: np.random.Generator) -> None:
     assert _border_share(products, 8) == pytest.approx(1.0, abs=0.05)
 
 
+def test_no_standard_error_is_0(layers64: Layers) -> None:
+    """Not of a photo that the start meets to the last bit, either."""
+    with jax.enable_x64(True):
+        light = picture(layers64, TRUTH)
+        light = np.asarray(light, np.float64)
+    result = fit(light, layers64, TRUTH)
+    assert all(result.parameters[name].stderr for name in result.correlation_names)
+
+
 @pytest.mark.parametrize("colour", [(1.0, 1.0, 1.0), (1.0, 0.0, -1.0)], ids=["grey", "colour"])
 def test_blurred_noise_is_measured(
     colour: tuple[float, float, float], rng: np.random.Generator
