@@ -54,8 +54,10 @@ def least_square_sum(
 
     Returns:
         None where the model is no such sum: exposures or gammas are free, brightness is with some
-        of the tints, or two of the channels share one of several shadow weights.
+        of the tints, two of the channels share one of several shadow weights, or a photo is grey.
     """
+    if few.mix is not None:
+        return None
     along, moved = directions(free, parameters)
     families = np.array([members[0].family for members in moved])
     amplitudes = _amplitudes(vector, along[TINT][:, families == "tint"], families)

@@ -26,6 +26,7 @@ from ._loss import Loss, LossName, check_loss, weigh
 from ._memory import bound_programs, give_back
 from ._parameters import (
     CHANNELS,
+    TINT,
     Entries,
     Parameter,
     declare,
@@ -42,6 +43,7 @@ from ._pixels import (
     Pixels,
     as_picture,
     choose_pixels,
+    grey_spread,
     light_at,
     on_device,
     share_widths,
@@ -470,6 +472,11 @@ def _leave_out(
             left_out += [LeftOut(p.name, why) for p in asked if p.name in colourless]
             asked = [p for p in asked if p.name not in colourless]
     tints = [p for p in asked if p.family == "tint"]
+    if tints and columns and all(len(c.copies) == 2 for c in columns):
+        named = [p.name for p in tints] if len(tints) < 3 else ["tint"]
+        left_out += [LeftOut(name, "a grey photo does not tell colours") for name in named]
+        asked = [p for p in asked if p not in tints]
+        tints = []
     if tints and not directions(tints, task.parameters)[0].shape[1]:
         left_out.append(LeftOut(tints[0].name, "the mean of the tints fixes the only free one"))
         asked.remove(tints[0])
@@ -556,6 +563,8 @@ def _judge(
             vector = end.vector + along @ undone.shift
             covariance = rows @ undone.covariance @ rows.T
             reach = reach_95(np.full(len(told), undone.freedom))
+    if problem.samples.mix is not None:
+        covariance = covariance + np.diag(_grey_variance(problem.columns, told, vector))
     stderr = np.sqrt(np.maximum(np.diag(covariance), 0))
     # The told tints add up to 3; a length of zero is a parameter that nothing can move.
     lengths = np.where(stderr > 0, stderr, 1.0)
@@ -614,6 +623,24 @@ def _judge(
     warnings = _warnings(result, task)
     message = _message(verdict, result, [p.name for p in end.at_bound])
     return replace(result, warnings=warnings, message=" ".join([message, *warnings]))
+
+
+def _grey_variance(
+    columns: Sequence[Columns], told: Sequence[Parameter], vector: Entries
+) -> Float[np.ndarray, " t"]:
+    """What is not known of how photos were made grey, as variance of the told parameters.
+
+    It is a factor on a grey photo's light: brightness, or the exposure beside a photo in colour.
+    """
+    grey = [c.mix is not None for c in columns]
+    found = np.zeros(len(told))
+    for k, p in enumerate(told):
+        number = int(p.name.partition(".")[2] or 1) - 1 if p.family == "exposure" else 0
+        unsure = grey[number] != grey[0] if p.family == "exposure" else grey[0]
+        if unsure and p.family in ("brightness", "exposure"):
+            color = columns[number].color * vector[TINT]
+            found[k] = (grey_spread(color) * float(p.of(vector))) ** 2
+    return found
 
 
 def _verdict(task: _Task, end: End) -> Verdict:
@@ -699,7 +726,7 @@ def _undone(
     lossy = [p for p in task.photos if isinstance(p, Photo) and p.lossy]
     if not lossy:
         return "no photo is a JPEG"
-    if any(p.jpeg is None for p in lossy):
+    if any(p.jpeg is None for p in lossy) or problem.samples.mix is not None:
         return "a grey JPEG, or one of an uncommon kind, cannot be compressed again alike"
     if any(is_coarse(p.jpeg) for p in lossy if p.jpeg is not None):
         return "the file is compressed so much that it does not show its noise"
@@ -749,6 +776,7 @@ def _photo_results(
                 used=px.used,
                 excluded=px.excluded,
                 clipped=0 if c.clipped is None else int((c.clipped != 0).sum()),
+                mix=c.mix,
                 residual_rms=float(np.sqrt(square_sum / max(count, 1))),
                 explained=1 - left / total if total > 0 and end.finite else None,
                 response=response,
@@ -849,6 +877,7 @@ def _without_data(
             used=px.used,
             excluded=px.excluded,
             clipped=0 if c.clipped is None else int((c.clipped != 0).sum()),
+            mix=c.mix,
             residual_rms=float("nan"),
             explained=None,
             response=response,
@@ -891,6 +920,11 @@ def _warnings(result: FitResult, task: _Task) -> tuple[str, ...]:
         found.append(
             f"What is left over hangs together over {errors.correlation_px:.0f} pixels, which is "
             "no noise: mask what is not air, or use a robust loss."
+        )
+    if any(photo.mix is not None for photo in result.photos):
+        found.append(
+            "The photo is grey: copies of a channel count once, and the look is compared by its "
+            "luminance (ITU-R BT.709). What other weights would change is in brightness's interval."
         )
     background = [e for n, e in result.parameters.items() if n.startswith("background")]
     if any(e.stderr is not None and e.value + 3 * e.stderr < 0 for e in background):

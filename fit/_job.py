@@ -325,7 +325,7 @@ def _write_photo(
     render_gl.write_layers(folder / f"layers{ending}", layers, view.scene)
     # Brightness refers to the first photo's width unit; so must the widths.
     layers = replace(jax.tree.map(np.asarray, layers), width_unit=result.width_unit)
-    planes, shadowed = predict(layers, result.look, told.response)
+    planes, shadowed = predict(layers, result.look, told.response, told.mix)
     del layers
     give_back()
     picture = np.moveaxis(planes, 0, -1)
@@ -359,9 +359,13 @@ def _ending(result: FitResult, number: int) -> str:
 
 
 def predict(
-    layers: Layers, look: Look, response: Response
+    layers: Layers,
+    look: Look,
+    response: Response,
+    mix: Float[np.ndarray, "3 3"] | None = None,
 ) -> tuple[Float[np.ndarray, "4 h w"], Bool[np.ndarray, "h w"] | None]:
-    """What a look and a response make of layers, and where most of the ray's air is in shadow.
+    """What a look and a response make of layers, and where most of the ray's air is in shadow; of a
+    grey photo with the `mix` that it shows.
 
     In bands of rows, so that nothing but the picture is as large as the photo, and by channels, as
     files store them.
@@ -377,7 +381,7 @@ def predict(
     for start in range(0, height, rows):
         # The last band reaches back over the one before: one shape, one compiled program.
         band = slice(min(start, height - rows), min(start + rows, height))
-        seen, shade = _predict_band(layers.rows(band), look, response, linear=linear)
+        seen, shade = _predict_band(layers.rows(band), look, response, mix, linear=linear)
         planes[:, band] = np.moveaxis(np.asarray(seen), -1, 0)
         if shadowed is not None:
             shadowed[band] = shade
@@ -386,10 +390,11 @@ def predict(
 
 @partial(jax.jit, static_argnames="linear")
 def _predict_band(
-    layers: Layers, look: Look, response: Response, linear: bool
+    layers: Layers, look: Look, response: Response, mix: AnyArray | None, linear: bool
 ) -> tuple[AnyArray, AnyArray | None]:
     seen = composite(layers, look)
-    recorded = record(seen[..., :3], response, linear=linear)
+    light = seen[..., :3] if mix is None else seen[..., :3] @ mix.T
+    recorded = record(light, response, linear=linear)
     lit, dark = layer_widths(layers)
     shade = None if dark is None else dark > lit
     return jnp.concatenate([recorded, seen[..., 3:]], axis=-1), shade

@@ -59,6 +59,16 @@ class Columns:
     """Bound on the rounding of a width, from the layers' dtype and depths."""
     drawn_error: Float[np.ndarray, " n"] | None = None
     """How far each width may be off by what drew the layers; None where they are exact."""
+    mix: Float[np.ndarray, "3 3"] | None = None
+    """Of a grey photo: what each channel shows of red, green and blue. Channels that are copies of
+    an earlier one have light 0 and no surface here. None where no channel is a copy."""
+
+    @property
+    def copies(self) -> list[int]:
+        """The channels that are copies of an earlier one."""
+        if self.mix is None:
+            return []
+        return [k for k in range(3) if (self.mix[:k] == self.mix[k]).all(axis=1).any()]
 
 
 def as_picture(photo: PhotoLike) -> np.ndarray:
@@ -78,6 +88,19 @@ def as_picture(photo: PhotoLike) -> np.ndarray:
     return picture
 
 
+def grey_spread(color: Float[np.ndarray, "3"]) -> float:
+    """How much the light of coloured air in a grey photo hangs on how it was made grey.
+
+    Relative to `LUMINANCE`'s: root mean square over the usual weights, of light and of codes.
+    """
+    light = _GREYS @ color
+    codes = (_GREYS @ color ** (1 / _CODES)) ** _CODES
+    own = LUMINANCE @ color
+    if not own > 0:
+        return 0.0
+    return float(np.sqrt(np.mean((np.concatenate([light, codes]) / own - 1) ** 2)))
+
+
 def size_of(photo: PhotoLike) -> tuple[int, int]:
     """Height and width. Raises as `as_picture`."""
     return photo.shape if isinstance(photo, Photo) else as_picture(photo).shape[:2]
@@ -89,6 +112,14 @@ def light_at(photo: PhotoLike, index: Int[np.ndarray, " n"]) -> Float[np.ndarray
         return photo.linear_at(index)
     return as_picture(photo).reshape(-1, 3)[index]
 
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Of linear light, ITU-R BT.709-6, table 3."""
+
+_GREYS = np.array([[0.2126, 0.7152, 0.0722], [0.299, 0.587, 0.114], [1 / 3] * 3, [0.0, 1.0, 0.0]])
+"""Weights that make pictures grey: luminance, luma (BT.601), the mean, the green channel."""
+_CODES = 2.2
+"""Power of the tone curve of codes, of which they are taken as often as of light."""
 
 ROOM = 1024
 """Least room, in tiles: 3 megapixels of air. Where nothing is written it takes no memory on a
@@ -158,7 +189,7 @@ def take_columns(photo: PhotoLike, layers: Layers, pixels: Pixels, width_unit: f
     surface = None
     if layers.surface is not None:
         surface = np.asarray(layers.surface).reshape(-1, 3)[index].astype(np.float64)
-    return Columns(
+    columns = Columns(
         index=index,
         lit=lit,
         dark=dark,
@@ -170,6 +201,38 @@ def take_columns(photo: PhotoLike, layers: Layers, pixels: Pixels, width_unit: f
         drawn_error=None
         if layers.width_error is None
         else np.asarray(layers.width_error).reshape(-1)[index] / width_unit,
+        mix=_mix(light, clipped),
+    )
+    return columns if columns.mix is None else _without_copies(columns)
+
+
+def _mix(
+    light: Float[np.ndarray, "n 3"], clipped: Int8[np.ndarray, "n 3"] | None
+) -> Float[np.ndarray, "3 3"] | None:
+    """What each channel shows of red, green and blue, if some are equal in all pixels.
+
+    A picture made grey shows luminance; by which weights nobody knows, and `LUMINANCE` is taken.
+    Channels are equal by chance where light is: in less than two pixels, or where all is clipped.
+    """
+    measured = light if clipped is None else light[~clipped.any(axis=1)]
+    if len(measured) < 2 or not measured.any():
+        return None
+    equal = np.array([[np.array_equal(a, b) for b in measured.T] for a in measured.T])
+    if not (equal & ~np.eye(3, dtype=bool)).any():
+        return None
+    weight = equal * LUMINANCE
+    return np.asarray(weight / weight.sum(axis=1, keepdims=True))
+
+
+def _without_copies(columns: Columns) -> Columns:
+    """Copies count once: the first channel of those that are equal."""
+    assert columns.mix is not None
+    own = np.isin(np.arange(3), columns.copies, invert=True)
+    return replace(
+        columns,
+        light=columns.light * own.astype(columns.light.dtype),
+        surface=None if columns.surface is None else columns.surface @ columns.mix.T * own,
+        clipped=None if columns.clipped is None else columns.clipped * own.astype(np.int8),
     )
 
 
@@ -207,7 +270,18 @@ def to_samples(
         photo=photo,
         used=np.asarray(starts[-1], np.int32),
         color=np.stack([c.color for c in columns]),
+        mix=_stacked_mix(columns),
     )
+
+
+def _stacked_mix(columns: Sequence[Columns]) -> Float[np.ndarray, "photos 3 3"] | None:
+    """As `Samples.mix`."""
+    if all(c.mix is None for c in columns):
+        return None
+    rows = np.stack([np.eye(3) if c.mix is None else c.mix for c in columns])
+    for row, c in zip(rows, columns, strict=True):
+        row[c.copies] = 0
+    return rows
 
 
 def relit(samples: Samples, columns: Sequence[Columns]) -> Samples:

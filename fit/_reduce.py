@@ -60,6 +60,7 @@ def moments(samples: Samples) -> Samples:
         photo=np.arange(photos, dtype=np.int32),
         used=np.asarray(photos, np.int32),
         color=samples.color,
+        mix=samples.mix,
     )
 
 

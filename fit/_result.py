@@ -150,8 +150,16 @@ class PhotoResult:
     dismiss as no light of the air; None without variance."""
     response: Response
     """The fitted one."""
+    mix: Float[np.ndarray, "3 3"] | None
+    """Of a grey photo: what each channel shows of red, green and blue."""
     width_unit: float
     """Scene length that widths of these layers are divided by (far - near)."""
+
+    @property
+    def measured(self) -> int:
+        """Samples that tell their light: neither clipped nor copies."""
+        channels = 3 if self.mix is None else len(np.unique(self.mix, axis=0))
+        return channels * int(self.used.sum()) - self.clipped
 
     @property
     def pixels(self) -> dict[str, Any]:
@@ -252,7 +260,7 @@ class FitResult:
     @property
     def residual_rms(self) -> float:
         """Over all photos' measured samples, linear light; NaN without data."""
-        counts = [3 * int(p.used.sum()) - p.clipped for p in self.photos]
+        counts = [p.measured for p in self.photos]
         squares = sum(n * p.residual_rms**2 for n, p in zip(counts, self.photos, strict=True) if n)
         return math.sqrt(squares / sum(counts)) if sum(counts) else math.nan
 

@@ -63,7 +63,7 @@ class Problem:
     parameters: tuple[Parameter, ...]
     model: Model
     count: int
-    """Measured samples, three to a pixel; without clipped ones."""
+    """Measured samples, three to a pixel; without clipped ones and copies."""
     light_max: float
     """Largest |light|."""
 
@@ -105,13 +105,14 @@ def state(
 ) -> Problem:
     """The problem of some columns, which `samples` holds on the device."""
     clipped = sum(int((c.clipped != 0).sum()) for c in columns if c.clipped is not None)
+    measured = sum((3 - len(c.copies)) * len(c.lit) for c in columns)
     return Problem(
         columns=columns,
         samples=samples,
         few=_few(columns, samples, model),
         parameters=parameters,
         model=model,
-        count=3 * sum(len(c.lit) for c in columns) - clipped,
+        count=measured - clipped,
         light_max=max(_largest(c.light) for c in columns),
     )
 

@@ -82,10 +82,16 @@ def _linear_photos(samples: Samples, vector: Entries) -> list[_Linear]:
     none = np.zeros((*zero.shape, 3))
     surface = none if found.surface is None else np.asarray(found.surface).swapaxes(1, 2)
     light = np.asarray(found.light).swapaxes(1, 2)
-    one = np.asarray(found.one)
+    one, colors = np.asarray(found.one), np.asarray(found.color)
+    if found.mix is not None:  # a copy shows what its original does
+        own = [np.argmax(mix != 0, axis=0) for mix in np.asarray(found.mix)]
+        light = np.stack([part[:, k] for part, k in zip(light, own, strict=True)])
+        surface = np.stack([part[:, k] for part, k in zip(surface, own, strict=True)])
+        seen = np.einsum("pij,pj->pi", np.asarray(found.mix), colors)
+        colors = np.stack([color[k] for color, k in zip(seen, own, strict=True)])
     return [
         _Linear(one[k], np.asarray(found.lit)[k], dark[k], surface[k], light[k], color)
-        for k, color in enumerate(np.asarray(found.color))
+        for k, color in enumerate(colors)
     ]
 
 

@@ -64,6 +64,10 @@ class Samples(eqx.Module):
     """Tiles in use."""
     color: Float[AnyArray, "photos 3"]
     """Colour of the air, a scene's own."""
+    mix: Float[AnyArray, "photos 3 3"] | None = None
+    """What each channel recorded of red, green and blue; a channel that is a copy of another has a
+    row of 0, light 0 and no surface, so that it counts for nothing. None where all are their own.
+    Surfaces are mixed already."""
 
 
 class Tile(eqx.Module):
@@ -79,6 +83,7 @@ class Tile(eqx.Module):
     """0 for padding."""
     photo: Int[jax.Array, ""]
     color: Float[jax.Array, "3"]
+    mix: Float[jax.Array, "3 3"] | None
 
 
 class Prior(eqx.Module):
@@ -116,6 +121,7 @@ def tile_at(samples: Samples, index: Int[AnyArray, ""]) -> Tile:
         weight=jnp.where(inside, 1.0 if weight is None else weight, 0.0).astype(samples.lit.dtype),
         photo=photo,
         color=jnp.asarray(samples.color)[photo],
+        mix=None if samples.mix is None else jnp.asarray(samples.mix)[photo],
     )
 
 
@@ -127,12 +133,17 @@ def predict(entries: Float[AnyArray, " e"], tile: Tile, linear: bool) -> Float[j
     air = jnp.moveaxis(air_light(tile.lit[:, None], dark, tile.color, look), -1, 0)
     one = jnp.ones_like(tile.lit) if tile.one is None else tile.one
     light = air + entries[BACKGROUND][:, None] * one[None, :]
+    if tile.mix is not None:
+        light = tile.mix @ light
     if tile.surface is not None:
         light = light + tile.surface
     rows = entries[LOOK_ENTRIES:].reshape(-1, RESPONSE_ENTRIES)
     exposure, gamma, black_level = rows[tile.photo]
     recorded = record(light, Response(exposure, gamma), linear=linear)
-    return recorded + black_level * one[None, :]
+    level = black_level * one[None, :]
+    if tile.mix is not None:
+        level = jnp.any(tile.mix != 0, axis=1)[:, None] * level
+    return recorded + level
 
 
 def tile_slopes(
@@ -241,6 +252,7 @@ def _unit_tile(samples: Samples, photo: Int[jax.Array, ""]) -> Tile:
         weight=jnp.ones(size, samples.lit.dtype),
         photo=photo,
         color=jnp.asarray(samples.color)[photo],
+        mix=None if samples.mix is None else jnp.asarray(samples.mix)[photo],
     )
 
 

@@ -215,9 +215,11 @@ def influence_maps(
 def residuals_of(
     columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
 ) -> list[Float[np.ndarray, "_ 3"]]:
-    """Recorded minus predicted light of each photo's used samples; NaN where one is clipped."""
+    """Recorded minus predicted light of each photo's used samples; NaN where one is clipped, or a
+    copy."""
     found = _by_photo(columns, samples, lambda tiles: _residuals(vector, samples, model, tiles))
     for c, residual in zip(columns, found, strict=True):
+        residual[:, c.copies] = np.nan
         if c.clipped is not None:
             residual[c.clipped != 0] = np.nan
     return found
