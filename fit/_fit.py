@@ -24,6 +24,7 @@ from ._compile import program
 from ._compression import JpegHandling, Undone, check_jpeg, is_coarse, undo_compression
 from ._loss import Loss, LossName, check_loss, weigh
 from ._memory import bound_programs, give_back
+from ._misfit import CAUSES, Doubts, find_doubts
 from ._parameters import (
     CHANNELS,
     TINT,
@@ -536,6 +537,7 @@ def _judge(
     evidence = None
     noise = np.nan
     vector, undone = end.vector, None
+    doubts = Doubts((), np.zeros((len(told), len(told))))
     residuals = _residuals(problem, end)
     if end.finite:
         noise = _noise(task, problem, end, residuals)
@@ -563,6 +565,9 @@ def _judge(
             vector = end.vector + along @ undone.shift
             covariance = rows @ undone.covariance @ rows.T
             reach = reach_95(np.full(len(told), undone.freedom))
+        else:  # what compression leaves over is no other cause's
+            doubts = _doubts(evidence, rows, residuals)
+    covariance = covariance + doubts.covariance
     if problem.samples.mix is not None:
         covariance = covariance + np.diag(_grey_variance(problem.columns, told, vector))
     stderr = np.sqrt(np.maximum(np.diag(covariance), 0))
@@ -614,6 +619,7 @@ def _judge(
         look=to_look(vector, task.look),
         photos=photos,
         left_out=tuple(left_out),
+        misfits=doubts.misfits,
         loss=task.loss,
         solver=task.solver,
         history=end.history,
@@ -675,14 +681,42 @@ def _role(p: Parameter, told: Sequence[str], end: End, held: set[str]) -> str:
 
 def _bias(evidence: Evidence, rows: Float[np.ndarray, "t p"]) -> list[float | None]:
     """Each told parameter's bound on the bias by the photos' rounding to codes."""
-    task, problem = evidence.task, evidence.problem
-    half_steps: list[np.ndarray | None] = []
-    for photo, c in zip(task.photos, problem.columns, strict=True):
+    half_steps = _half_steps(evidence.task.photos, evidence.problem.columns)
+    return _shifted(evidence, rows, half_steps)
+
+
+def _doubts(
+    evidence: Evidence,
+    rows: Float[np.ndarray, "t p"],
+    residuals: Sequence[Float[np.ndarray, "_ 3"]],
+) -> Doubts:
+    """What may be wrong with the told values beside noise."""
+    problem = evidence.problem
+    return find_doubts(
+        problem.columns,
+        evidence.task.layers,
+        problem.model,
+        evidence.end.vector,
+        evidence.along,
+        rows,
+        evidence.spread.hessian,
+        residuals,
+        [_believed(r, problem.model.loss) > BELIEVED for r in residuals],
+        _half_steps(evidence.task.photos, problem.columns),
+    )
+
+
+def _half_steps(
+    photos: Sequence[PhotoLike], columns: Sequence[Columns]
+) -> list[Float[np.ndarray, "_ 3"] | None]:
+    """Half a code step of each used sample."""
+    found: list[np.ndarray | None] = []
+    for photo, c in zip(photos, columns, strict=True):
         steps = None
         if isinstance(photo, Photo) and photo.codes is not None and photo.half_steps is not None:
             steps = photo.half_steps[photo.codes.reshape(-1, 3)[c.index]].astype(np.float64)
-        half_steps.append(steps)
-    return _shifted(evidence, rows, half_steps)
+        found.append(steps)
+    return found
 
 
 def _drawn(evidence: Evidence, rows: Float[np.ndarray, "t p"]) -> list[float | None]:
@@ -899,6 +933,7 @@ def _without_data(
         look=task.look,
         photos=tuple(photos),
         left_out=tuple(left_out),
+        misfits=(),
         loss=task.loss,
         solver=task.solver,
         history=(),
@@ -915,8 +950,10 @@ def _warnings(result: FitResult, task: _Task) -> tuple[str, ...]:
         found.append(
             "Look at what is left over: where it has structure, this look cannot follow the photo."
         )
+    found += _misfit_warnings(result)
     structured = errors is not None and errors.correlation_px > STRUCTURED_PX
-    if errors is not None and structured and not undone and (explained or 0) < 1 - 1e-6:
+    seen = undone or result.misfits or (explained or 0) >= 1 - 1e-6
+    if errors is not None and structured and not seen:
         found.append(
             f"What is left over hangs together over {errors.correlation_px:.0f} pixels, which is "
             "no noise: mask what is not air, or use a robust loss."
@@ -955,6 +992,24 @@ def _warnings(result: FitResult, task: _Task) -> tuple[str, ...]:
             + ("." if asked else ", or let its JPEG be undone (--jpeg undo).")
         )
     return tuple(found)
+
+
+def _misfit_warnings(result: FitResult) -> list[str]:
+    """One sentence for each photo in which a cause shows."""
+    found = []
+    for number in range(len(result.photos)):
+        causes = [misfit for misfit in result.misfits if misfit.photo == number]
+        if not causes:
+            continue
+        which = f" of photo {number + 1}" if len(result.photos) > 1 else ""
+        also = ", ".join(misfit.cause for misfit in causes[1:])
+        found.append(
+            f"The light left over{which} is not noise alone: {_percent(causes[0].share)} of it "
+            f"goes with {CAUSES[causes[0].cause][0]}"
+            + (f"; less plainly with: {also}" if also else "")
+            + ". Intervals are widened by what that may have moved."
+        )
+    return found
 
 
 def _message(verdict: Verdict, result: FitResult, at_bound: Sequence[str]) -> str:

@@ -206,22 +206,44 @@ def take_columns(photo: PhotoLike, layers: Layers, pixels: Pixels, width_unit: f
     return columns if columns.mix is None else _without_copies(columns)
 
 
+def unlit_columns(
+    layers: Layers, index: Int[np.ndarray, " n"], like: Columns, width_unit: float
+) -> Columns:
+    """Any pixels of a photo of which `like` has the used ones, without light: for predictions.
+
+    Where there is no air its width is 0.
+    """
+    air = np.asarray(layers.has_air).reshape(-1)[index]
+    with np.errstate(invalid="ignore"):
+        lit, dark = _widths(layers, index, width_unit)
+    surface = None
+    if layers.surface is not None:
+        surface = np.asarray(layers.surface).reshape(-1, 3)[index].astype(np.float64)
+    found = replace(
+        like,
+        index=index,
+        lit=np.where(air, lit, 0),
+        dark=None if dark is None else np.where(air, dark, 0),
+        light=np.zeros((len(index), 3)),
+        surface=surface,
+        clipped=None,
+        drawn_error=None,
+    )
+    return found if like.mix is None else _without_copies(found)
+
+
 def _mix(
     light: Float[np.ndarray, "n 3"], clipped: Int8[np.ndarray, "n 3"] | None
 ) -> Float[np.ndarray, "3 3"] | None:
-    """What each channel shows of red, green and blue, if some are equal in all pixels.
+    """What each channel shows of red, green and blue, if they are equal in all pixels.
 
     A picture made grey shows luminance; by which weights nobody knows, and `LUMINANCE` is taken.
-    Channels are equal by chance where light is: in less than two pixels, or where all is clipped.
+    Of less than two pixels with light, not clipped, nothing is said.
     """
     measured = light if clipped is None else light[~clipped.any(axis=1)]
-    if len(measured) < 2 or not measured.any():
+    if len(measured) < 2 or not measured.any() or not (light == light[:, :1]).all():
         return None
-    equal = np.array([[np.array_equal(a, b) for b in measured.T] for a in measured.T])
-    if not (equal & ~np.eye(3, dtype=bool)).any():
-        return None
-    weight = equal * LUMINANCE
-    return np.asarray(weight / weight.sum(axis=1, keepdims=True))
+    return np.tile(LUMINANCE, (3, 1))
 
 
 def _without_copies(columns: Columns) -> Columns:

@@ -134,6 +134,19 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
+class Misfit:
+    """Something other than noise that shows in the light left over."""
+
+    photo: int
+    cause: str
+    """"tone", "air", "vignette", "stray", "edges" or "colour"."""
+    share: float
+    """Of the variance left over that goes with it."""
+    chance: float
+    """That noise looks like it."""
+
+
+@dataclass(frozen=True)
 class PhotoResult:
     """What one photo had to say."""
 
@@ -212,6 +225,8 @@ class FitResult:
     """The fitted look, with one number or three as in the start look."""
     photos: tuple[PhotoResult, ...]
     left_out: tuple[LeftOut, ...]
+    misfits: tuple[Misfit, ...]
+    """What shows in the light left over, the plainest first."""
     loss: str
     solver: str
     history: tuple[float, ...]
@@ -342,6 +357,10 @@ class FitResult:
                 for p in self.photos
             ],
             "left_out": [{"what": item.what, "why": item.why} for item in self.left_out],
+            "misfits": [
+                {"photo": m.photo + 1, "cause": m.cause, "share": _number(m.share)}
+                for m in self.misfits
+            ],
             "solver": self.solver,
             "loss": self.loss,
             "history": [_number(value) for value in self.history],

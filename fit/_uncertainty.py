@@ -78,7 +78,7 @@ class Spread:
         block's leverage, A the root and c the parameter's row; a χ² with the same mean and variance
         has (tr P)² / tr P² degrees of freedom (Satterthwaite, Biometrics Bulletin 2, 1946).
         """
-        stretch = _stretch(self.leverage)
+        stretch = stretch_of(self.leverage)
         found = np.ones(len(to_told))
         for k, row in enumerate(to_told @ self.root):
             a = stretch @ row
@@ -130,12 +130,12 @@ def spread_of(
             known better than numbers are.
     """
     p = along.shape[1]
-    length, area, products = _correlation(columns, sizes, residuals)
+    length, area, products = correlation(columns, sizes, residuals)
     unit = LEAST_BLOCK
     side = unit * int(np.ceil(max(LENGTHS * length, unit) / unit)) if length > 1 else unit
     while True:
         numbers = [
-            _block_numbers(c.index, size, side) for c, size in zip(columns, sizes, strict=True)
+            block_numbers(c.index, size, side) for c, size in zip(columns, sizes, strict=True)
         ]
         blocks = sum(int(n.max(initial=-1)) + 1 for n in numbers)
         if blocks >= max(FEWEST_BLOCKS, 3 * p) or side <= unit or side - unit < length:
@@ -146,9 +146,9 @@ def spread_of(
     if model.prior is not None:
         prior = (along.T * np.asarray(model.prior.weight)) @ along
         hessian = hessian + prior
-    whiten = _inverse_root(squares.sum(axis=0) + prior)
+    whiten = inverse_root(squares.sum(axis=0) + prior)
     leverage = whiten.T @ squares @ whiten
-    whitened = np.einsum("gij,gj->gi", _stretch(leverage), scores @ whiten)
+    whitened = np.einsum("gij,gj->gi", stretch_of(leverage), scores @ whiten)
     middle = whitened.T @ whitened * _border_share(products, side)
     middle += noise**2 * whiten.T @ prior @ whiten
     middle += rounding**2 * leverage.sum(axis=0)
@@ -175,7 +175,7 @@ def rounding_bound(
     response = np.linalg.solve(hessian, to_told.T)
     bound = np.zeros(len(to_told))
     starts = [0] * len(columns)
-    for photo, influence in _influences(samples, model, vector, along @ response):
+    for photo, influence in influences(samples, model, vector, along @ response):
         n = influence.shape[-1]
         steps = half_steps[photo]
         if steps is not None:
@@ -203,7 +203,7 @@ def influence_maps(
     maps = [np.moveaxis(np.zeros((3, *size), np.float32), 0, -1) for size in sizes]
     starts = [0] * len(columns)
     response = np.linalg.solve(hessian, to_told)
-    for photo, influence in _influences(samples, model, vector, along @ response[:, None]):
+    for photo, influence in influences(samples, model, vector, along @ response[:, None]):
         n = influence.shape[-1]
         index = columns[photo].index[starts[photo] : starts[photo] + n]
         for k, plane in enumerate(np.moveaxis(maps[photo], -1, 0)):
@@ -245,7 +245,7 @@ def area_of(
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
 ) -> float:
     """Pixels that count as one: `Spread.area`."""
-    return _correlation(columns, sizes, residuals)[1]
+    return correlation(columns, sizes, residuals)[1]
 
 
 def _by_photo(
@@ -373,7 +373,7 @@ def _tile_scores(
     return jax.lax.map(scores, jnp.asarray(numbers))
 
 
-def _inverse_root(hessian: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
+def inverse_root(hessian: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
     """R with R Rᵀ = H⁻¹, by eigenvalues of H with a unit diagonal."""
     scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(hessian)), 1e-300))
     values, vectors = np.linalg.eigh(hessian * scale * scale[:, None])
@@ -381,7 +381,7 @@ def _inverse_root(hessian: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]
     return np.asarray(scale[:, None] * vectors / np.sqrt(np.maximum(values, floor)))
 
 
-def _stretch(leverage: Float[np.ndarray, "blocks p p"]) -> Float[np.ndarray, "blocks p p"]:
+def stretch_of(leverage: Float[np.ndarray, "blocks p p"]) -> Float[np.ndarray, "blocks p p"]:
     """(1 - B)^-½ of each block's leverage B."""
     values, vectors = np.linalg.eigh(leverage)
     # A robust loss or a strongly curved model can make a block's share negative.
@@ -389,7 +389,7 @@ def _stretch(leverage: Float[np.ndarray, "blocks p p"]) -> Float[np.ndarray, "bl
     return np.asarray((vectors * stretched[:, None, :]) @ vectors.swapaxes(1, 2))
 
 
-def _influences(
+def influences(
     samples: Samples, model: Model, vector: Entries, along: Float[np.ndarray, "e t"]
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Photo and influence [t, 3, n] of each tile; `along` is directions × H⁻¹ × what is asked."""
@@ -419,7 +419,7 @@ def _tile_influence(
     return jax.lax.map(influence, jnp.asarray(numbers))
 
 
-def _block_numbers(index: np.ndarray, size: tuple[int, int], side: int) -> np.ndarray:
+def block_numbers(index: np.ndarray, size: tuple[int, int], side: int) -> np.ndarray:
     """Number of the block of each pixel, counted over the blocks that hold any."""
     across = -(-size[1] // side)
     rows, columns = np.divmod(index, size[1])
@@ -429,10 +429,11 @@ def _block_numbers(index: np.ndarray, size: tuple[int, int], side: int) -> np.nd
     return np.asarray((np.cumsum(holds) - 1)[number])
 
 
-def _correlation(
+def correlation(
     columns: Sequence[Columns],
     sizes: Sequence[tuple[int, int]],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
+    window: int = 1024,
 ) -> tuple[float, float, list[np.ndarray]]:
     """Correlation length and area in pixels, and summed products of residuals by lag, a photo each.
 
@@ -442,7 +443,7 @@ def _correlation(
     # Sums of squares in float32, whatever the unit of light: of residuals up to one.
     unit = 2.0 ** np.frexp(max((_largest(r) for r in residuals), default=0.0))[1]
     found = [
-        _products(c.index, size, r, unit)
+        _products(c.index, size, r, unit, window)
         for c, size, r in zip(columns, sizes, residuals, strict=True)
     ]
     products = [product for product, _ in found]
@@ -470,7 +471,7 @@ def _largest(residual: Float[np.ndarray, "_ 3"]) -> float:
 
 
 def _products(
-    index: np.ndarray, size: tuple[int, int], residual: np.ndarray, unit: float
+    index: np.ndarray, size: tuple[int, int], residual: np.ndarray, unit: float, window: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Σ r(x) r(x + d) and the number of pairs, for lags d up to `_LAGS`; mean over channels.
 
@@ -480,7 +481,7 @@ def _products(
         nothing = np.zeros((2 * _LAGS + 1, 2 * _LAGS + 1))
         return nothing, nothing
     rows, cols = np.divmod(index, size[1])
-    inside, rows, cols = _crowded(rows, cols)
+    inside, rows, cols = _crowded(rows, cols, window)
     residual = residual[inside]
     mask = np.zeros((int(rows.max()) + 1, int(cols.max()) + 1), np.float32)
     mask[rows, cols] = 1
@@ -499,15 +500,14 @@ def _products(
     return products, np.maximum(np.round(lagged(mask)), 0)
 
 
-_WINDOW = 1024
-
-
-def _crowded(rows: np.ndarray, cols: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A part of the frame is enough: the most crowded square of `_WINDOW` pixels, of those side by
+def _crowded(
+    rows: np.ndarray, cols: np.ndarray, window: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A part of the frame is enough: the most crowded square of `window` pixels, of those side by
     side. Which pixels lie in it, their rows and columns there."""
     rows, cols = rows - rows.min(), cols - cols.min()
-    across = int(cols.max()) // _WINDOW + 1
-    number = rows // _WINDOW * across + cols // _WINDOW
+    across = int(cols.max()) // window + 1
+    number = rows // window * across + cols // window
     best = int(np.argmax(np.bincount(number)))
     inside = np.flatnonzero(number == best)
     rows, cols = rows[inside], cols[inside]

@@ -184,11 +184,12 @@ def distances(result: FitResult) -> np.ndarray:
 
 
 def test_the_values_are_those_before_compression(layers64: Layers, tmp_path: Path) -> None:
-    """Least squares of a JPEG's codes is off by more than four of its standard errors somewhere."""
+    """Least squares of a JPEG's codes is off by more than three of its standard errors somewhere,
+    though these know of what hangs together."""
     photo = shot(layers64, tmp_path, "a.jpg")
     plain = fit(photo, layers64, START)
     undone = fit(photo, layers64, START, jpeg="undo")
-    assert np.abs(distances(plain)).max() > 4
+    assert np.abs(distances(plain)).max() > 3
     assert np.abs(distances(undone)).max() < 4
     assert any("compression" in warning for warning in plain.warnings)
     assert not any("compression" in warning for warning in undone.warnings)
@@ -316,7 +317,7 @@ def test_structure_is_not_taken_for_noise(layers64: Layers, tmp_path: Path) -> N
         pytest.param((70, 85), "more than once", id="twice"),
         pytest.param((85, 90), "more than once", id="twice, the finer steps hardly so"),
         pytest.param((30,), "does not show its noise", id="noise hidden"),
-        pytest.param((5,), "does not show its noise", id="hardly anything left"),
+        pytest.param((15,), "does not show its noise", id="hardly anything left"),
     ],
 )
 def test_files_that_cannot_be_made_alike(

@@ -93,6 +93,7 @@ def document(**changes: Any) -> dict[str, Any]:
         "pixels": PIXELS,
         "photos": [photo_row()],
         "left_out": [],
+        "misfits": [],
         "solver": "lm",
         "loss": "linear",
         "history": [41.2, 3.2, 0.91, 0.65],

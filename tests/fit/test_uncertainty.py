@@ -15,12 +15,12 @@ from fit._pixels import Columns
 from fit._uncertainty import (
     MOST_LEVERAGE,
     Spread,
-    _block_numbers,
     _border_share,
-    _correlation,
-    _inverse_root,
-    _stretch,
+    block_numbers,
+    correlation,
+    inverse_root,
     reach_95,
+    stretch_of,
 )
 from model_jax import Layers, Look
 from model_jax._tone import Linear
@@ -53,7 +53,7 @@ def test_reach_is_students() -> None:
 
 def test_white_noise_has_no_correlation(rng: np.random.Generator) -> None:
     residual = rng.normal(size=(SIZE[0] * SIZE[1], 3))
-    length, area, products = _correlation([all_pixels(SIZE)], [SIZE], [residual])
+    length, area, products = correlation([all_pixels(SIZE)], [SIZE], [residual])
     assert length == 1.0
     assert area == 1.0
     assert _border_share(products, 8) == pytest.approx(1.0, abs=0.05)
@@ -80,7 +80,7 @@ def test_blurred_noise_is_measured(
     deviations = 6.4 of 50.3, and what lies beyond 7 pixels, exp(-49/16) = 5 %, is left out: 2.4.
     """
     residual = blurred(rng)[:, :1] * np.array(colour)
-    length, area, products = _correlation([all_pixels(SIZE)], [SIZE], [residual])
+    length, area, products = correlation([all_pixels(SIZE)], [SIZE], [residual])
     assert length in (6.0, 7.0, 8.0)
     expected = 4 * np.pi * BLUR**2
     assert expected - 2.4 - 6.4 < area < expected + 6.4
@@ -98,8 +98,8 @@ def test_border_share_is_what_blocks_lose(rng: np.random.Generator) -> None:
     own uncertainty as above.
     """
     residual = blurred(rng)
-    products = _correlation([all_pixels(SIZE)], [SIZE], [residual])[2]
-    numbers = _block_numbers(np.arange(SIZE[0] * SIZE[1]), SIZE, 16)
+    products = correlation([all_pixels(SIZE)], [SIZE], [residual])[2]
+    numbers = block_numbers(np.arange(SIZE[0] * SIZE[1]), SIZE, 16)
     sums = np.stack([np.bincount(numbers, channel) for channel in residual.T])
     whole = (sums**2).sum() * _border_share(products, 16)
     # White noise of variance 1 keeps its sums when blurred: each pixel adds 1 to the whole.
@@ -111,7 +111,7 @@ def test_the_unit_of_light_does_not_matter(light: float, rng: np.random.Generato
     """The sums are float32, whose squares end at 1e±38. The factors round what is summed."""
     residual = blurred(rng)
     plain, other = (
-        _correlation([all_pixels(SIZE)], [SIZE], [residual * factor]) for factor in (1.0, light)
+        correlation([all_pixels(SIZE)], [SIZE], [residual * factor]) for factor in (1.0, light)
     )
     assert other[0] == plain[0] > 1
     assert other[1] == pytest.approx(plain[1], rel=1e-4)
@@ -120,8 +120,8 @@ def test_the_unit_of_light_does_not_matter(light: float, rng: np.random.Generato
 def test_block_numbers() -> None:
     """Counted over the blocks that hold a pixel, whatever the frame's edge."""
     index = np.array([0, 7, 8, 20, 8 * 21 - 1, 8 * 21, 15 * 21 + 20])  # 21 across
-    assert _block_numbers(index, (16, 21), 8).tolist() == [0, 0, 1, 2, 2, 3, 4]
-    assert _block_numbers(np.array([], int), (16, 21), 8).tolist() == []
+    assert block_numbers(index, (16, 21), 8).tolist() == [0, 0, 1, 2, 2, 3, 4]
+    assert block_numbers(np.array([], int), (16, 21), 8).tolist() == []
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_freedom_is_that_of_the_sandwich(rng: np.random.Generator) -> None:
     """Against the blocks' whole covariance, built pixel by pixel for a small linear fit."""
     matrix = rng.normal(size=(60, 3)) * np.linspace(0.2, 2, 60)[:, None]
     blocks = np.arange(60) // 10
-    root = _inverse_root(matrix.T @ matrix)
+    root = inverse_root(matrix.T @ matrix)
     np.testing.assert_allclose(root @ root.T @ matrix.T @ matrix, np.eye(3), atol=1e-12)
     parts = [matrix[blocks == k] for k in range(6)]
     leverage = np.stack([root.T @ part.T @ part @ root for part in parts])
@@ -174,7 +174,7 @@ def test_freedom_is_that_of_the_sandwich(rng: np.random.Generator) -> None:
     residual_maker = np.eye(60) - matrix @ root @ root.T @ matrix.T
     stretched = np.zeros((6, 60))
     for k, part in enumerate(parts):
-        stretched[k, blocks == k] = part @ root @ _stretch(leverage)[k] @ root.T @ row
+        stretched[k, blocks == k] = part @ root @ stretch_of(leverage)[k] @ root.T @ row
     covariance = stretched @ residual_maker @ stretched.T
     expected = np.trace(covariance) ** 2 / np.sum(covariance**2)
     assert spread.freedom(row[None])[0] == pytest.approx(expected, rel=1e-9)
@@ -184,9 +184,9 @@ def test_freedom_is_that_of_the_sandwich(rng: np.random.Generator) -> None:
 
 def test_stretch_stops() -> None:
     """A block that alone tells a parameter, and one whose share is below zero."""
-    stretch = _stretch(np.array([[[1.0]], [[-0.2]], [[0.0]]]))
+    stretch = stretch_of(np.array([[[1.0]], [[-0.2]], [[0.0]]]))
     assert stretch.ravel() == pytest.approx([1 / np.sqrt(1 - MOST_LEVERAGE), 1.0, 1.0])
-    assert _inverse_root(np.zeros((0, 0))).shape == (0, 0)
+    assert inverse_root(np.zeros((0, 0))).shape == (0, 0)
 
 
 TINY = (4, 6)
