@@ -190,6 +190,8 @@ def find_doubts(
     size = np.linalg.norm(influence, axis=1)
     size = np.where(size > 0, size, 1.0)
     slopes_of = np.linalg.pinv(influence / size[:, None]) / size
+    weight = np.zeros(len(vector)) if model.prior is None else np.asarray(model.prior.weight)
+    prior = (along.T * weight) @ along
     nobody = np.zeros(0, np.intp)
     unit = float(layers[0].width_unit)
     found: list[Misfit] = []
@@ -215,9 +217,14 @@ def find_doubts(
         left = np.where(believed[number][chosen], residuals[number][chosen], np.nan)
         steps = half_steps[number]
         least = max(FAINT * _rms(seen), 0.0 if steps is None else ROUNDED * _rms(steps[chosen]))
-        weight = np.zeros(len(vector)) if model.prior is None else np.asarray(model.prior.weight)
-        prior = (along.T * weight) @ along * (len(chosen) / len(c.index))
-        sums = _Sums.of(patch, np.concatenate(slopes, axis=-1), left, to_told, slopes_of, prior)
+        share = len(chosen) / len(c.index)
+        curved = hessian * share
+        add_own = len(layers) == 1 and share < 1
+        if add_own:  # a part's own products, for the sums of what nearly cancels are its own
+            curved = prior * share
+        sums = _Sums.of(
+            patch, np.concatenate(slopes, axis=-1), left, to_told, slopes_of, curved, add_own
+        )
         if sums is None:
             continue
         misfits, moved = _doubts_of(sums, number, least)
@@ -283,8 +290,8 @@ class _Sums:
     """Rows of the told parameters."""
     slopes_of: Float[np.ndarray, "t p"]
     """Makes slopes along the free directions of influences."""
-    prior: Float[np.ndarray, "p p"]
-    """What priors add to the products of slopes, for so many pixels."""
+    curved: Float[np.ndarray, "p p"]
+    """Half the second derivative of the square sum, of so many pixels."""
     slopes: slice
     causes: dict[str, slice]
 
@@ -295,11 +302,13 @@ class _Sums:
         left: Float[np.ndarray, "m 3"],
         told: Float[np.ndarray, "t p"],
         slopes_of: Float[np.ndarray, "t p"],
-        prior: Float[np.ndarray, "p p"],
+        curved: Float[np.ndarray, "p p"],
+        add_own: bool,
     ) -> "_Sums | None":
         """Of measured samples; None if there is none.
 
-        Blocks are larger than what is left over without all causes hangs together.
+        Blocks are larger than what is left over without all causes hangs together. `curved` is
+        without these samples' own products where they are to be added.
         """
         known = np.isfinite(left)
         if not known.any():
@@ -329,7 +338,9 @@ class _Sums:
             np.add.at(whole, larger[first[: len(products)]], products)
             products = whole
         slope = slice(0, len(slopes))
-        return _Sums(products, len(rows), told, slopes_of, prior, slope, causes)
+        if add_own:
+            curved = curved + slopes_of.T @ products.sum(axis=0)[slope, slope] @ slopes_of
+        return _Sums(products, len(rows), told, slopes_of, curved, slope, causes)
 
     @cached_property
     def total(self) -> Float[np.ndarray, "k k"]:
@@ -342,13 +353,9 @@ class _Sums:
         return float(self.total[-1, -1])
 
     def shift_of(self, part: slice) -> Float[np.ndarray, "t q"]:
-        """By which one unit of columns moves the told parameters, were all pixels such as these.
-
-        Influences are G = J H⁻¹ Rᵀ, of slopes J; R (JᵀJ + prior)⁻¹ Jᵀ times the columns.
-        """
-        curved = self.slopes_of.T @ self.total[self.slopes, self.slopes] @ self.slopes_of
+        """By which one unit of columns moves the told parameters, were all pixels such as these."""
         pulled = self.slopes_of.T @ self.total[self.slopes, part]
-        root = inverse_root(curved + self.prior)
+        root = inverse_root(self.curved)
         return np.asarray(self.told @ root @ (root.T @ pulled))
 
     def amounts(self, part: slice, beside: Sequence[slice]) -> _Amounts | None:
