@@ -61,6 +61,9 @@ SPANNED = 1e-8
 WINDOW = 256
 """Pixels across the part in which correlation is measured."""
 
+CLIP = 4.0
+"""Noise's distance from a clipped sample's bound within which no sample is looked at."""
+
 ROUNDED = 0.25
 """Of half a code step, and"""
 FAINT = 1e-4
@@ -215,6 +218,7 @@ def find_doubts(
         seen, *beside = np.concatenate([light, np.full((1, 3), np.nan)])[place]
         patch = _Patch(part, size, seen, np.stack(beside))
         left = np.where(believed[number][chosen], residuals[number][chosen], np.nan)
+        left[_may_clip(part, seen, CLIP * _rms(left))] = np.nan
         steps = half_steps[number]
         least = max(FAINT * _rms(seen), 0.0 if steps is None else ROUNDED * _rms(steps[chosen]))
         share = len(chosen) / len(c.index)
@@ -231,6 +235,21 @@ def find_doubts(
         found += misfits
         covariance += moved
     return Doubts(tuple(sorted(found, key=lambda misfit: -misfit.share)), covariance)
+
+
+def _may_clip(
+    columns: Columns, light: Float[np.ndarray, "m 3"], room: float
+) -> Bool[np.ndarray, "m 3"]:
+    """Samples whose predicted light is within room of what was clipped: of these noise chose the
+    measured ones."""
+    found = np.zeros(light.shape, bool)
+    if columns.clipped is None:
+        return found
+    for sign in (1, -1):
+        bounds = sign * columns.light[columns.clipped == sign]
+        if bounds.size:
+            found |= sign * light > bounds.min() - room
+    return found
 
 
 def _doubts_of(

@@ -269,9 +269,9 @@ def test_black_samples_tell_a_bound(tmp_path: Path) -> None:
         estimate = result.parameters[name]
         assert estimate.stderr is not None
         assert abs(estimate.value - true) <= 3 * estimate.stderr, name
-    level = believed.parameters["background"]
-    assert level.stderr is not None
-    assert level.value + 0.1 > 3 * level.stderr
+    assert believed.look.background + 0.1 > 3 * (result.parameters["background"].stderr or np.nan)
+    assert believed.misfits  # and it is seen that this is no noise
+    assert not result.misfits
 
 
 @pytest.mark.parametrize(("code", "word"), [(0, "black"), (255, "saturated")])
