@@ -285,8 +285,6 @@ def _doubts_of(
 class _Amounts:
     """What was found of a cause."""
 
-    amounts: Float[np.ndarray, " k"]
-    covariance: Float[np.ndarray, "k k"]
     chance: float
     """That noise looks like this."""
     gained: float
@@ -414,8 +412,6 @@ class _Sums:
         mean = likely @ told @ amounts
         moved = self.shift_of(part) @ kept
         return _Amounts(
-            amounts=kept @ amounts,
-            covariance=kept @ middle @ kept.T,
             chance=float(fisher.sf(ratio, q, freedom - q + 1)),
             gained=float(amounts @ amounts),
             moved=moved @ np.outer(mean, mean) @ moved.T,

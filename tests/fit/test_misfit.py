@@ -241,17 +241,9 @@ def test_robust_fits_look_at_what_they_believe(layers: Layers) -> None:
 
 
 def test_a_large_photo_is_looked_at_in_part() -> None:
-    camera = Camera(
-        position=(0, 0, 3.0),
-        forward=(0, 0, -1.0),
-        up=(0, 1.0, 0),
-        fov_y_deg=50,
-        width=800,
-        height=600,
-        near=0.5,
-        far=6.0,
-    )
-    layers = analytic_layers(replace_camera(view(), camera))
+    case = view()
+    large = Scene(case.camera.resized(800, 600), case.planet, case.atmosphere, case.sun)
+    layers = analytic_layers(large)
     light = np.asarray(composite(layers, TRUTH))[..., :3].astype(np.float64)
     row, column = np.indices(light.shape[:2])
     away = ((column - 399.5) ** 2 + (row - 299.5) ** 2)[..., None] / 500**2
@@ -263,10 +255,6 @@ def test_a_large_photo_is_looked_at_in_part() -> None:
     # Around a planet in the middle of the picture height above the limb is a radius, too.
     assert dark.misfits[0].cause in ("vignette", "air")
     assert np.nanmax(distances(dark, to_numbers(TRUTH))) < 3
-
-
-def replace_camera(scene: Scene, camera: Camera) -> Scene:
-    return Scene(camera, scene.planet, scene.atmosphere, scene.sun, scene.occluders)
 
 
 def supersampled(samples: int, seeds: range, noise: float = 0.003) -> float:
