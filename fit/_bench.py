@@ -95,7 +95,8 @@ def run_bench(
     repeats = 3 if quick else REPEATS
     width, height = (n // (4 if quick else 1) for n in SIZE)
     layers, photo = _picture(width, height)
-    columns = take_columns(photo, layers, choose_pixels(photo, layers), float(layers.width_unit))
+    pixels = choose_pixels(photo, layers, "point")
+    columns = take_columns(photo, layers, pixels, float(layers.width_unit))
     best = _scipy_fit(columns, np.array([3.0, 0.2, 0.8, 0.9]), 1e-15)
     n = len(columns.lit)
     rows: list[Row] = []
@@ -201,7 +202,7 @@ def _problem(columns: Columns, more: tuple[str, ...]) -> tuple[Problem, Any]:
 
 
 def _fit(photo: np.ndarray, layers: Layers) -> FitResult:
-    return fit(photo, layers, Look(1.0, 0.5), free=FREE)
+    return fit(photo, layers, Look(1.0, 0.5), free=FREE, sampling="point")
 
 
 def _of_vector(vector: np.ndarray) -> list[float]:

@@ -24,6 +24,7 @@ from . import _assignments as assignments
 from ._compression import JpegHandling
 from ._export import Format, export_text, read_fit, write_export
 from ._job import Job, Source, make_layers, prepare_folder, run_job, versions
+from ._pixels import Sampling
 from ._terminal import print_bench, print_check, print_fit
 
 # Typer shows the whole usage for a wrong option; its exception's text alone is one line.
@@ -180,6 +181,10 @@ def fit(
         JpegHandling,
         typer.Option(help="undo: correct for what JPEG did to the photo, for seconds."),
     ] = "keep",
+    sampling: Annotated[
+        Sampling,
+        typer.Option(help="point: the photo is a render without antialiasing."),
+    ] = "area",
     solver: Annotated[
         str, typer.Option(help="lm, dogleg, gauss_newton, bfgs, lbfgs or nelder_mead.")
     ] = "lm",
@@ -216,6 +221,7 @@ def fit(
         tied=assignments.ties(tie or ()),
         loss=loss,
         jpeg=jpeg,
+        sampling=sampling,
         solver=solver,
         max_steps=max_steps,
         command=shlex.join(["airlight", *sys.argv[1:]]),

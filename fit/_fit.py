@@ -42,7 +42,9 @@ from ._pixels import (
     Columns,
     PhotoLike,
     Pixels,
+    Sampling,
     as_picture,
+    check_sampling,
     choose_pixels,
     grey_spread,
     light_at,
@@ -107,6 +109,7 @@ def fit(  # type: ignore[overload-overlap]  # a tracer passes for an array in JA
     priors: Mapping[str, tuple[float, float]] | None = ...,
     tied: Mapping[str, str] | None = ...,
     loss: str = ...,
+    sampling: str = ...,
     solver: str = ...,
     max_steps: int | None = ...,
 ) -> TracedFit: ...
@@ -125,6 +128,7 @@ def fit(
     tied: Mapping[str, str] | None = ...,
     loss: str = ...,
     jpeg: str = ...,
+    sampling: str = ...,
     solver: str = ...,
     max_steps: int | None = ...,
 ) -> FitResult: ...
@@ -142,6 +146,7 @@ def fit(
     tied: Mapping[str, str] | None = None,
     loss: str = "linear",
     jpeg: str = "keep",
+    sampling: str = "area",
     solver: str = "lm",
     max_steps: int | None = None,
 ) -> FitResult | TracedFit:
@@ -170,6 +175,10 @@ def fit(
             samples whose residual is large beside the median.
         jpeg: "undo" corrects values and intervals for what JPEG did to the photos, by fits to files
             that are compressed alike, for seconds; "keep" warns of it only.
+        sampling: "area" if pixels show means over their squares, or parts of them, as a camera's
+            and a supersampled picture's do: pixels on edges are left out, and intervals hold what
+            the bend of the light does in the others. "point" if they show the light in their
+            middles, as in a render without antialiasing: every pixel of air is used.
         solver: lm, dogleg, gauss_newton, bfgs, lbfgs or nelder_mead, of optimistix.
         max_steps: of the solver, for each of the few descents.
 
@@ -184,19 +193,23 @@ def fit(
             prior without width, a circle of ties.
     """
     if is_traced(photo, look, response):
-        return _fit_traced(photo, layers, look, free, response, bounds, priors, tied, loss, solver)
+        return _fit_traced(
+            photo, layers, look, free, response, bounds, priors, tied, loss, sampling, solver
+        )
     bound_programs()
     photos, all_layers = _pairs(photo, layers)
     responses = _responses(response, len(photos))
     parameters = declare(look, responses, free=free, bounds=bounds, priors=priors, tied=tied)
-    loss_name, handling = check_loss(loss), check_jpeg(jpeg)
+    loss_name, handling, sampled = check_loss(loss), check_jpeg(jpeg), check_sampling(sampling)
     make_solver(solver)
     steps = MAX_STEPS.get(solver, 256) if max_steps is None else max_steps
     named = free is not None
-    task = _Task(photos, all_layers, look, parameters, loss_name, handling, solver, steps, named)
+    task = _Task(
+        photos, all_layers, look, parameters, loss_name, handling, sampled, solver, steps, named
+    )
 
     times = [perf_counter()]
-    pixels = [choose_pixels(p, la) for p, la in zip(photos, all_layers, strict=True)]
+    pixels = [choose_pixels(p, la, sampled) for p, la in zip(photos, all_layers, strict=True)]
     unit = float(all_layers[0].width_unit)
     columns = tuple(
         take_columns(p, la, px, unit) for p, la, px in zip(photos, all_layers, pixels, strict=True)
@@ -236,6 +249,7 @@ def _fit_traced(
     priors: Any,
     tied: Any,
     loss: str,
+    sampling: str,
     solver: str,
 ) -> TracedFit:
     """The same for a tracer, with errors for what cannot be traced."""
@@ -252,7 +266,7 @@ def _fit_traced(
     parameters = declare(known[0], [known[1]], free=free, bounds=bounds, tied=tied)
     make_solver(solver)
     shown = np.ones(np.shape(photo))  # any picture: which pixels may be used is the layers' affair
-    used = choose_pixels(shown, layers).used
+    used = choose_pixels(shown, layers, check_sampling(sampling)).used
     return fit_traced(photo, layers, look, response, parameters, used, solver)
 
 
@@ -266,6 +280,7 @@ class _Task:
     parameters: tuple[Parameter, ...]
     loss: LossName
     jpeg: JpegHandling
+    sampling: Sampling
     solver: str
     max_steps: int
     named: bool
@@ -565,8 +580,8 @@ def _judge(
             vector = end.vector + along @ undone.shift
             covariance = rows @ undone.covariance @ rows.T
             reach = reach_95(np.full(len(told), undone.freedom))
-        else:  # what compression leaves over is no other cause's
-            doubts = _doubts(evidence, rows, residuals)
+        # What compression leaves over is no other cause's.
+        doubts = _doubts(evidence, rows, residuals, look_for_causes=undone is None)
     covariance = covariance + doubts.covariance
     if problem.samples.mix is not None:
         covariance = covariance + np.diag(_grey_variance(problem.columns, told, vector))
@@ -689,6 +704,7 @@ def _doubts(
     evidence: Evidence,
     rows: Float[np.ndarray, "t p"],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
+    look_for_causes: bool,
 ) -> Doubts:
     """What may be wrong with the told values beside noise."""
     problem = evidence.problem
@@ -703,6 +719,8 @@ def _doubts(
         residuals,
         [_believed(r, problem.model.loss) > BELIEVED for r in residuals],
         _half_steps(evidence.task.photos, problem.columns),
+        evidence.task.sampling,
+        look_for_causes,
     )
 
 

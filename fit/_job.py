@@ -42,6 +42,7 @@ from ._loss import check_loss
 from ._memory import give_back, map_large_blocks
 from ._parameters import declare, to_entries, to_look, to_responses
 from ._photo import Photo, load_photo
+from ._pixels import check_sampling
 from ._report import Section, photo_section, report_html
 from ._result import FitResult
 from ._solve import make_solver
@@ -83,6 +84,7 @@ class Job:
     tied: Mapping[str, str] = field(default_factory=dict)
     loss: str = "linear"
     jpeg: str = "keep"
+    sampling: str = "area"
     solver: str = "lm"
     max_steps: int | None = None
     command: str = ""
@@ -145,6 +147,7 @@ def run_job(
         tied=job.tied,
         loss=job.loss,
         jpeg=job.jpeg,
+        sampling=job.sampling,
         solver=job.solver,
         max_steps=job.max_steps,
     )
@@ -194,6 +197,7 @@ def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
     declare(look, responses, free=job.free, bounds=job.bounds, priors=job.priors, tied=job.tied)
     check_loss(job.loss)
     check_jpeg(job.jpeg)
+    check_sampling(job.sampling)
     make_solver(job.solver)
     if job.max_steps is not None and job.max_steps < 1:
         raise InputError(f"max-steps: {job.max_steps} is too few; allow 1 or more")

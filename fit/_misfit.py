@@ -25,7 +25,7 @@ from scipy.stats import f as fisher
 from model_jax import Layers
 
 from ._parameters import Entries
-from ._pixels import Columns, on_device, to_samples, unlit_columns
+from ._pixels import Columns, Sampling, on_device, to_samples, unlit_columns
 from ._result import Misfit
 from ._stream import Model
 from ._uncertainty import (
@@ -79,8 +79,8 @@ class Doubts:
     misfits: tuple[Misfit, ...]
     """The plainest first."""
     covariance: Float[np.ndarray, "t t"]
-    """Mean square of how far the told parameters are off, in each photo by the plainest cause, also
-    one too faint for a word."""
+    """Mean square of how far the told parameters are off: in each photo by the plainest cause, also
+    one too faint for a word, and by pixels that show means over their squares."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +146,16 @@ def _edges(patch: _Patch) -> list[np.ndarray]:
     return [np.nan_to_num(part) for part in parts]
 
 
+def _average(patch: _Patch) -> np.ndarray:
+    """What a mean over a pixel's square is more than the light in its middle.
+
+    Of light that is bent as a parabola: a place's variance in the square, 1/12 along each side,
+    times half the second derivative.
+    """
+    bend = patch.beside.sum(axis=0) - 4 * patch.light
+    return np.asarray(np.nan_to_num(bend) / 24)
+
+
 def _colour(patch: _Patch) -> list[np.ndarray]:
     level = _rms(patch.light)
     found = []
@@ -177,6 +187,8 @@ def find_doubts(
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
     believed: Sequence[Bool[np.ndarray, "_ 3"]],
     half_steps: Sequence[Float[np.ndarray, "_ 3"] | None],
+    sampling: Sampling,
+    look_for_causes: bool,
 ) -> Doubts:
     """What each photo's left over light says of the model.
 
@@ -186,9 +198,10 @@ def find_doubts(
         residuals: by `residuals_of`.
         believed: samples that a robust loss did not dismiss.
         half_steps: of the photos' codes.
+        look_for_causes: else only what sampling does is counted.
     """
-    if not len(to_told):
-        return Doubts((), np.zeros((0, 0)))
+    if not len(to_told) or not (look_for_causes or sampling == "area"):
+        return Doubts((), np.zeros((len(to_told), len(to_told))))
     influence = np.linalg.solve(hessian, to_told.T)
     size = np.linalg.norm(influence, axis=1)
     size = np.where(size > 0, size, 1.0)
@@ -231,9 +244,14 @@ def find_doubts(
         )
         if sums is None:
             continue
-        misfits, moved = _doubts_of(sums, number, least)
-        found += misfits
-        covariance += moved
+        if sampling == "area":
+            average = sums.shift_of(sums.average)
+            amount = sums.amounts(sums.average, [sums.slopes]) if look_for_causes else None
+            covariance += average @ average.T * _likely(amount)
+        if look_for_causes:
+            misfits, moved = _doubts_of(sums, number, least)
+            found += misfits
+            covariance += moved
     return Doubts(tuple(sorted(found, key=lambda misfit: -misfit.share)), covariance)
 
 
@@ -281,9 +299,24 @@ def _doubts_of(
     return misfits, moved
 
 
+def _likely(average: "_Amounts | None") -> float:
+    """Mean square of how much of the mean over its square a pixel shows, 0 to 1.
+
+    The photo's own word and a prior of ½ ± ½, as normal distributions.
+    """
+    if average is None:
+        return 0.5
+    weight = 0.25 / (0.25 + average.covariance[0, 0])
+    mean = weight * average.amounts[0] + (1 - weight) / 2
+    return float(min(mean**2 + weight * average.covariance[0, 0], 1.0))
+
+
 @dataclass(frozen=True)
 class _Amounts:
     """What was found of a cause."""
+
+    amounts: Float[np.ndarray, " k"]
+    covariance: Float[np.ndarray, "k k"]
 
     chance: float
     """That noise looks like this."""
@@ -311,6 +344,7 @@ class _Sums:
     """Half the second derivative of the square sum, of so many pixels."""
     slopes: slice
     causes: dict[str, slice]
+    average: slice
 
     @staticmethod
     def of(
@@ -336,14 +370,14 @@ class _Sums:
             parts = pattern(patch)
             causes[name] = slice(len(columns), len(columns) + len(parts))
             columns += parts
-        columns.append(left)
+        columns += [_average(patch), left]
         rows = np.stack([column[known] for column in columns], axis=1)
         numbers = block_numbers(patch.columns.index, patch.size, LEAST_BLOCK)
         products = _summed(rows, np.broadcast_to(numbers[:, None], known.shape)[known])
         count = len(columns)
         rest = np.full(left.shape, np.nan)
-        rest[known] = rows[:, -1] - rows[:, :-1] @ _solved(
-            products.sum(axis=0), np.arange(count - 1)
+        rest[known] = rows[:, -1] - rows[:, :-2] @ _solved(
+            products.sum(axis=0), np.arange(count - 2)
         )
         length, _, _ = correlation([patch.columns], [patch.size], [rest], WINDOW)
         units = int(np.ceil(LENGTHS * length / LEAST_BLOCK)) if length > 1 else 1
@@ -357,7 +391,8 @@ class _Sums:
         slope = slice(0, len(slopes))
         if add_own:
             curved = curved + slopes_of.T @ products.sum(axis=0)[slope, slope] @ slopes_of
-        return _Sums(products, len(rows), told, slopes_of, curved, slope, causes)
+        average = slice(count - 2, count - 1)
+        return _Sums(products, len(rows), told, slopes_of, curved, slope, causes, average)
 
     @cached_property
     def total(self) -> Float[np.ndarray, "k k"]:
@@ -412,6 +447,8 @@ class _Sums:
         mean = likely @ told @ amounts
         moved = self.shift_of(part) @ kept
         return _Amounts(
+            amounts=kept @ amounts,
+            covariance=kept @ middle @ kept.T,
             chance=float(fisher.sf(ratio, q, freedom - q + 1)),
             gained=float(amounts @ amounts),
             moved=moved @ np.outer(mean, mean) @ moved.T,

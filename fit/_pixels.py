@@ -9,7 +9,7 @@ import mmap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax
@@ -23,6 +23,10 @@ from ._photo import REASONS, Photo
 from ._stream import TILE, Samples, capacity
 
 PhotoLike = Photo | np.ndarray | jax.Array
+
+Sampling = Literal["area", "point"]
+"""What a pixel of a photo shows: a mean over its square, or a part of it, as a camera's or of a
+supersampled picture; or the light in its middle, as of a render without antialiasing."""
 
 
 @dataclass(frozen=True)
@@ -126,13 +130,33 @@ ROOM = 1024
 CPU."""
 FEW_ROOM = 64
 
+LEAST_INSIDE = 0.25
+"""Share of the air's pixels that must be left without those on edges, or these are kept."""
 
-def choose_pixels(photo: PhotoLike, layers: Layers) -> Pixels:
+_ROUNDINGS = 4
+"""Of depths, up to which two are one."""
+
+
+def check_sampling(name: str) -> Sampling:
+    """The name, if it is one.
+
+    Raises:
+        InputError: it is not.
+    """
+    for known in get_args(Sampling):
+        if name == known:
+            return known
+    raise InputError(f"sampling: {name!r} is unknown; choose from {list(get_args(Sampling))}")
+
+
+def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area") -> Pixels:
     """The pixels that a fit uses.
 
-    Excluded, in this order: "no air"; "planet without a surface layer"; what the photo itself
-    excludes ("masked", "not finite"); "layers not finite". Layers that do not know where the planet
-    is, and bring no surface, use all pixels with air, with a remark.
+    Excluded, in this order: "no air"; "planet without a surface layer"; of a photo sampled by area
+    "planet's limb", "edge of the air" and "edge of the shadow", for layers know the light in the
+    pixel's middle; what the photo itself excludes ("masked", "not finite"); "layers not finite".
+    Layers that do not know where the planet is, and bring no surface, use all pixels with air, and
+    air that is hardly more than edges keeps these; both with a remark.
 
     Raises:
         InputError: photo and layers differ in size; a photo of a wrong shape or type.
@@ -151,6 +175,15 @@ def choose_pixels(photo: PhotoLike, layers: Layers) -> Pixels:
             remarks.append(("choice of sky pixels", why))
         else:
             reasons["planet without a surface layer"] = np.asarray(layers.planet) != 0
+    if sampling == "area":
+        edges = _edges(layers)
+        air = ~np.logical_or.reduce(list(reasons.values()))
+        inside = air & ~np.logical_or.reduce(list(edges.values()))
+        if inside.sum() >= LEAST_INSIDE * air.sum():
+            reasons |= edges
+        else:
+            why = "hardly a pixel of air is without one; a camera's light there is not the model's"
+            remarks.append(("leaving out edges", why))
     if isinstance(photo, Photo):
         reasons |= {name: photo.reason == k + 1 for k, name in enumerate(REASONS)}
     else:
@@ -163,6 +196,48 @@ def choose_pixels(photo: PhotoLike, layers: Layers) -> Pixels:
             excluded[reason] = count
         used &= ~where
     return Pixels(used, excluded, tuple(remarks))
+
+
+def _edges(layers: Layers) -> dict[str, Bool[np.ndarray, "h w"]]:
+    """Pixels that an edge runs through, by what it is the edge of.
+
+    Of a straight edge through a pixel's square, the middle of the pixel or of a neighbour beside or
+    above it lies on the other side.
+    """
+    kinds = {"edge of the air": [np.asarray(layers.has_air)]}
+    if layers.planet is not None:
+        kinds = {"planet's limb": [np.asarray(layers.planet) != 0]} | kinds
+    if layers.has_shadow:
+        kinds["edge of the shadow"] = _shade(layers)
+    known = _finite(layers)
+    return {
+        name: np.logical_or.reduce([_border(part, known) for part in parts])
+        for name, parts in kinds.items()
+    }
+
+
+def _shade(layers: Layers) -> list[Bool[np.ndarray, "h w"]]:
+    """Where some of the air is in a shadow, and where all of it is."""
+    front, back = np.asarray(layers.front), np.asarray(layers.back)
+    begin, until = np.asarray(layers.shadow_front), np.asarray(layers.shadow_back)
+    with np.errstate(invalid="ignore"):
+        rounding = _ROUNDINGS * np.finfo(front.dtype).eps * np.abs(back)
+        some = np.minimum(back, until) - np.maximum(front, begin) > rounding
+        all_of = (begin < front + rounding) & (until > back - rounding)
+    air = np.asarray(layers.has_air)
+    return [air & part.reshape(-1, *air.shape).any(axis=0) for part in (some, all_of)]
+
+
+def _border(
+    part: Bool[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels beside one of the other kind, and that one; of those that are known."""
+    found = np.zeros(part.shape, bool)
+    for a, b in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
+        differ = (part[a] != part[b]) & known[a] & known[b]
+        found[a] |= differ
+        found[b] |= differ
+    return found
 
 
 def take_columns(photo: PhotoLike, layers: Layers, pixels: Pixels, width_unit: float) -> Columns:
@@ -224,7 +299,7 @@ def unlit_columns(
         index=index,
         lit=np.where(air, lit, 0),
         dark=None if dark is None else np.where(air, dark, 0),
-        light=np.zeros((len(index), 3)),
+        light=np.zeros((len(index), 3), like.light.dtype),
         surface=surface,
         clipped=None,
         drawn_error=None,

@@ -217,7 +217,7 @@ def residuals_of(
 ) -> list[Float[np.ndarray, "_ 3"]]:
     """Recorded minus predicted light of each photo's used samples; NaN where one is clipped, or a
     copy."""
-    found = _by_photo(columns, samples, lambda tiles: _residuals(vector, samples, model, tiles))
+    found = _differences(columns, samples, model, vector)
     for c, residual in zip(columns, found, strict=True):
         residual[:, c.copies] = np.nan
         if c.clipped is not None:
@@ -229,7 +229,16 @@ def predictions_of(
     columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
 ) -> list[Float[np.ndarray, "_ 3"]]:
     """Predicted light of each photo's used samples."""
-    return _by_photo(columns, samples, lambda tiles: _predictions(vector, samples, model, tiles))
+    found = _differences(columns, samples, model, vector)
+    return [c.light - difference for c, difference in zip(columns, found, strict=True)]
+
+
+def _differences(
+    columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """Recorded minus predicted light, or bound minus predicted light."""
+    measured = replace(samples, clipped=None)  # one program serves photos with and without
+    return _by_photo(columns, samples, lambda tiles: _residuals(vector, measured, model, tiles))
 
 
 def width_slopes_of(
@@ -280,14 +289,6 @@ def _residuals(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArr
         return tile.light - predict(vector, tile, model.linear)
 
     return jax.lax.map(residual, jnp.asarray(numbers))
-
-
-@program
-def _predictions(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray) -> jax.Array:
-    def predicted(number: jax.Array) -> jax.Array:
-        return predict(vector, tile_at(samples, number), model.linear)
-
-    return jax.lax.map(predicted, jnp.asarray(numbers))
 
 
 @program

@@ -187,8 +187,8 @@ def test_the_values_are_those_before_compression(layers64: Layers, tmp_path: Pat
     """Least squares of a JPEG's codes is off by more than three of its standard errors somewhere,
     though these know of what hangs together."""
     photo = shot(layers64, tmp_path, "a.jpg")
-    plain = fit(photo, layers64, START)
-    undone = fit(photo, layers64, START, jpeg="undo")
+    plain = fit(photo, layers64, START, sampling="point")
+    undone = fit(photo, layers64, START, jpeg="undo", sampling="point")
     assert np.abs(distances(plain)).max() > 3
     assert np.abs(distances(undone)).max() < 4
     assert any("compression" in warning for warning in plain.warnings)
@@ -202,7 +202,7 @@ def test_the_values_are_those_before_compression(layers64: Layers, tmp_path: Pat
     assert undone.verdict == plain.verdict == "converged"
     tints = [undone.parameters[name].value for name in NAMES[2:5]]
     assert np.mean(tints) == pytest.approx(1, abs=1e-12)
-    again = fit(photo, layers64, START, jpeg="undo")
+    again = fit(photo, layers64, START, jpeg="undo", sampling="point")
     assert again.to_dict()["parameters"] == undone.to_dict()["parameters"]
 
 
@@ -216,7 +216,9 @@ def test_the_values_are_those_before_compression(layers64: Layers, tmp_path: Pat
 )
 def test_other_fits(options: dict[str, Any], layers64: Layers, tmp_path: Path) -> None:
     """They know of the compression too, and what was known before is not forgotten over it."""
-    result = fit(shot(layers64, tmp_path, "a.jpg"), layers64, START, jpeg="undo", **options)
+    result = fit(
+        shot(layers64, tmp_path, "a.jpg"), layers64, START, jpeg="undo", sampling="point", **options
+    )
     assert result.verdict in ("converged", "at_bound")
     assert result.parameters["brightness"].compression_shift is not None
     shadow = result.parameters["shadow"]
@@ -238,6 +240,7 @@ def test_bounded_tints_keep_their_mean(bound: float, layers64: Layers, tmp_path:
         START,
         bounds={"tint.r": (bound, 3.0)},
         jpeg="undo",
+        sampling="point",
     )
     tints = [result.parameters[name].value for name in NAMES[2:5]]
     assert np.mean(tints) == pytest.approx(1, abs=1e-9)
@@ -253,13 +256,16 @@ def test_nothing_free_in_the_end_is_undone(layers64: Layers, tmp_path: Path) -> 
         free=["tint.r", "tint.g"],
         bounds={"tint.g": (0.5, 0.9)},
         jpeg="undo",
+        sampling="point",
     )
     assert all(e.compression_shift is None for e in result.parameters.values())
 
 
 def test_much_that_is_clipped_is_not_undone(layers64: Layers, tmp_path: Path) -> None:
     bright = replace(LOOK, brightness=6.0)
-    result = fit(shot(layers64, tmp_path, "a.jpg", bright), layers64, START, jpeg="undo")
+    result = fit(
+        shot(layers64, tmp_path, "a.jpg", bright), layers64, START, jpeg="undo", sampling="point"
+    )
     assert result.photos[0].clipped > 0.05 * 3 * result.photos[0].used.sum()
     assert all(e.compression_shift is None for e in result.parameters.values())
     assert any("compression" in warning for warning in result.warnings)
@@ -268,7 +274,7 @@ def test_much_that_is_clipped_is_not_undone(layers64: Layers, tmp_path: Path) ->
 def test_one_of_two_photos_is_a_jpeg(layers64: Layers, tmp_path: Path) -> None:
     photos = [shot(layers64, tmp_path, "a.jpg"), shot(layers64, tmp_path, "b.png", seed=7)]
     free = ("brightness", "shadow", "tint", "background")
-    result = fit(photos, [layers64] * 2, START, free=free, jpeg="undo")
+    result = fit(photos, [layers64] * 2, START, free=free, jpeg="undo", sampling="point")
     assert result.verdict == "converged"
     assert np.abs(distances(result)).max() < 4
     assert all(result.parameters[name].compression_shift is not None for name in NAMES)
@@ -287,7 +293,7 @@ def test_structure_that_compression_makes_is_undone(tmp_path: Path) -> None:
     light = picture(layers, truth) + rng.normal(scale=0.003, size=(*shape, 3))
     codes = np.round(255 * np.clip(np.asarray(Srgb().encode(light)), 0, 1)).astype(np.uint8)
     Image.fromarray(codes).save(tmp_path / "a.jpg", quality=85)
-    result = fit(load_photo(tmp_path / "a.jpg"), layers, START, jpeg="undo")
+    result = fit(load_photo(tmp_path / "a.jpg"), layers, START, jpeg="undo", sampling="point")
     assert result.errors is not None
     assert result.errors.correlation_px > 16
     wanted = dict(zip(NAMES, [0.2, 0.3, 0.9, 1.0, 1.1, 0.05], strict=True))
@@ -304,7 +310,7 @@ def test_structure_is_not_taken_for_noise(layers64: Layers, tmp_path: Path) -> N
     photo = shot(layers64, tmp_path, "a.jpg")
     ramp = np.linspace(0, 25, photo.shape[1]).astype(np.uint8)
     bent = replace(photo, stored=np.minimum(photo.stored, 230) + ramp[None, :, None])
-    result = fit(bent, layers64, START, jpeg="undo")
+    result = fit(bent, layers64, START, jpeg="undo", sampling="point")
     assert result.errors is not None
     assert result.errors.correlation_px > 16
     assert all(e.compression_shift is None for e in result.parameters.values())
@@ -331,7 +337,7 @@ def test_files_that_cannot_be_made_alike(
     for quality in qualities:
         picture.save(path, quality=quality)
         picture = Image.open(path).convert("RGB")
-    result = fit(load_photo(path), layers64, START, jpeg="undo")
+    result = fit(load_photo(path), layers64, START, jpeg="undo", sampling="point")
     assert all(e.compression_shift is None for e in result.parameters.values())
     (reason,) = [item.why for item in result.left_out if item.what == "what JPEG did"]
     assert why in reason
@@ -349,7 +355,7 @@ def test_a_second_compression_that_changes_nothing_is_none(
         for quality in qualities:
             picture.save(tmp_path / "a.jpg", quality=quality)
             picture = Image.open(tmp_path / "a.jpg").convert("RGB")
-        result = fit(load_photo(tmp_path / "a.jpg"), layers64, START, jpeg="undo")
+        result = fit(load_photo(tmp_path / "a.jpg"), layers64, START, jpeg="undo", sampling="point")
         assert np.abs(distances(result)).max() < 4
         assert result.parameters["brightness"].compression_shift is not None
 
@@ -361,7 +367,7 @@ def test_jpeg_is_undone_where_it_is_asked_for(layers64: Layers, tmp_path: Path) 
     (warning,) = [w for w in result.warnings if "compression" in w]
     assert "--jpeg undo" in warning
     assert not any(item.what == "what JPEG did" for item in result.left_out)
-    plain = fit(shot(layers64, tmp_path, "b.png"), layers64, START, jpeg="undo")
+    plain = fit(shot(layers64, tmp_path, "b.png"), layers64, START, jpeg="undo", sampling="point")
     (reason,) = [item.why for item in plain.left_out if item.what == "what JPEG did"]
     assert reason == "no photo is a JPEG"
     with pytest.raises(

@@ -159,7 +159,9 @@ def outcome(noise: Noise, layers: Layers, count: int, seed: int, folder: Path) -
         photos = [noise.record(one, rng, folder) for one in recorded]
         # What is not fitted is known.
         start = replace(START, background=0.0 if "background" in names else look.background)
-        result = fit(photos, [layers] * len(photos), start, free=names, jpeg=noise.jpeg)
+        result = fit(
+            photos, [layers] * len(photos), start, free=names, jpeg=noise.jpeg, sampling="point"
+        )
         assert result.verdict == "converged", (k, result.message)
         truth = {p.name: float(p.value) for p in declare(look, responses)}
         for j, name in enumerate(names):

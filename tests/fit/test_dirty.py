@@ -88,7 +88,7 @@ def to_png(light: np.ndarray, path: Path, bits: int = 8) -> Path:
 
 @cache
 def clean_fit(loss: str) -> FitResult:
-    return fit(shown(TRUTH, NOISE, 0), air()[0], START, loss=loss)
+    return fit(shown(TRUTH, NOISE, 0), air()[0], START, loss=loss, sampling="point")
 
 
 def shifts(dirty: FitResult, clean: FitResult) -> dict[str, tuple[float, float]]:
@@ -112,7 +112,7 @@ def check_shifts(dirty: FitResult, clean: FitResult, loss: str) -> None:
 @pytest.mark.parametrize("kind", ["salt and pepper", "stars", "blocks"])
 @pytest.mark.parametrize("loss", ROBUST)
 def test_outliers(loss: str, kind: str) -> None:
-    result = fit(soil(shown(TRUTH, NOISE, 0), kind), air()[0], START, loss=loss)
+    result = fit(soil(shown(TRUTH, NOISE, 0), kind), air()[0], START, loss=loss, sampling="point")
     check_shifts(result, clean_fit(loss), loss)
     # The scale that decides what an outlier is: a twentieth of them raises the median by 7 %.
     assert result.errors is not None
@@ -127,7 +127,7 @@ def test_outliers(loss: str, kind: str) -> None:
 @pytest.mark.parametrize("kind", ["salt and pepper", "stars", "blocks"])
 def test_least_squares_believes_outliers(kind: str) -> None:
     """What the losses are for: by some parameter more than 10 %."""
-    result = fit(soil(shown(TRUTH, NOISE, 0), kind), air()[0], START)
+    result = fit(soil(shown(TRUTH, NOISE, 0), kind), air()[0], START, sampling="point")
     assert max(relative for relative, _ in shifts(result, clean_fit("linear")).values()) > 0.1
 
 
@@ -137,9 +137,15 @@ def test_least_squares_believes_outliers(kind: str) -> None:
 def test_hot_pixels_that_are_white(loss: str, tmp_path: Path) -> None:
     """In 8 bits they only say "at least this bright", and are doubted all the same."""
     photo = shown(TRUTH, NOISE, 0)
-    clean = fit(load_photo(to_png(photo, tmp_path / "clean.png")), air()[0], START, loss=loss)
+    clean = fit(
+        load_photo(to_png(photo, tmp_path / "clean.png")),
+        air()[0],
+        START,
+        loss=loss,
+        sampling="point",
+    )
     hot = load_photo(to_png(soil(photo, "hot pixels"), tmp_path / "hot.png"))
-    result = fit(hot, air()[0], START, loss=loss)
+    result = fit(hot, air()[0], START, loss=loss, sampling="point")
     assert result.photos[0].clipped > 0.04 * 3 * result.used.sum()
     check_shifts(result, clean, loss)
 
@@ -149,7 +155,7 @@ def test_scipy_finds_the_same(loss: str) -> None:
     """`least_squares(loss=…, f_scale=…)` on all samples, with the scale that our fit settled on."""
     layers, ring = air()
     photo = soil(shown(TRUTH, NOISE, 0), "stars")
-    result = fit(photo, layers, START, loss=loss)
+    result = fit(photo, layers, START, loss=loss, sampling="point")
     with jax.enable_x64(True):
         lit, dark = (np.asarray(w)[ring] for w in layer_widths(layers) if w is not None)
     target = photo[ring]
@@ -221,7 +227,7 @@ def test_white_samples_tell_a_bound(
     assert photo.codes is not None
     white = photo.codes == photo.top
     assert 0.1 < white[ring].mean() < 0.4
-    result = fit(photo, layers, START)
+    result = fit(photo, layers, START, sampling="point")
     assert result.verdict == "converged", result.message
     assert result.photos[0].clipped >= white[ring].sum()
     assert not result.warnings
@@ -233,7 +239,7 @@ def test_white_samples_tell_a_bound(
         room = 3 * estimate.stderr + (0.0 if noise else estimate.quantisation_bound)
         assert abs(estimate.value - true) <= room, name
         assert abs(error) <= 0.01, name
-    believed = fit(photo.linear, layers, START)
+    believed = fit(photo.linear, layers, START, sampling="point")
     assert max(map(abs, off(believed, brightness).values())) > 0.1
 
 
@@ -249,10 +255,10 @@ def test_dropping_white_samples_is_biased(tmp_path: Path) -> None:
         assert photo.codes is not None
         light = photo.linear.copy()
         light[(photo.codes == photo.top).any(axis=-1)] = np.nan
-        result = fit(photo, layers, START)
+        result = fit(photo, layers, START, sampling="point")
         stderr = result.parameters["brightness"].stderr or np.nan
         kept.append(result.look.brightness - 5.0)
-        dropped.append(fit(light, layers, START).look.brightness - 5.0)
+        dropped.append(fit(light, layers, START, sampling="point").look.brightness - 5.0)
     assert abs(np.mean(kept)) <= 3 * stderr / np.sqrt(8)
     assert np.mean(dropped) < -6 * stderr / np.sqrt(8)
 
@@ -264,7 +270,10 @@ def test_black_samples_tell_a_bound(tmp_path: Path) -> None:
     layers, ring = air()
     assert photo.codes is not None
     assert (photo.codes == 0)[ring].mean() > 0.05
-    result, believed = fit(photo, layers, START), fit(photo.linear, layers, START)
+    result, believed = (
+        fit(photo, layers, START, sampling="point"),
+        fit(photo.linear, layers, START, sampling="point"),
+    )
     for name, true in {**VALUES, "background": -0.1}.items():
         estimate = result.parameters[name]
         assert estimate.stderr is not None
@@ -277,7 +286,7 @@ def test_black_samples_tell_a_bound(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("code", "word"), [(0, "black"), (255, "saturated")])
 def test_nothing_but_bounds(code: int, word: str, tmp_path: Path) -> None:
     Image.fromarray(np.full((128, 160, 3), code, np.uint8)).save(tmp_path / "photo.png")
-    result = fit(load_photo(tmp_path / "photo.png"), air()[0], START)
+    result = fit(load_photo(tmp_path / "photo.png"), air()[0], START, sampling="point")
     assert result.verdict == "no_data"
     assert f"the photo is {word} where the air is" in result.message
 
@@ -306,7 +315,7 @@ def test_a_dark_panel(side: str, tmp_path: Path) -> None:
     Image.fromarray(np.where(hidden, 0, 255).astype(np.uint8)).save(tmp_path / "mask.png")
     write_channels(tmp_path / "mask.exr", {"Y": np.where(hidden, 0.0, 1.0)}, {})
     results = [
-        fit(load_photo(path, mask=tmp_path / name), layers, START)
+        fit(load_photo(path, mask=tmp_path / name), layers, START, sampling="point")
         for name in ("mask.png", "mask.exr")
     ]
     for result in results:
@@ -317,6 +326,6 @@ def test_a_dark_panel(side: str, tmp_path: Path) -> None:
             assert result.parameters[name].value == pytest.approx(true, rel=0.01), name
     assert results[0].parameters == results[1].parameters
     for loss in ("linear", "cauchy"):
-        bare = fit(load_photo(path), layers, START, loss=loss)
+        bare = fit(load_photo(path), layers, START, loss=loss, sampling="point")
         assert bare.verdict != "converged" or bare.warnings
         assert "mask" in bare.message

@@ -132,6 +132,7 @@ def run(place: Fit) -> Outcome:
         free=place.case.free,
         response=response,
         loss=place.case.loss,
+        sampling="point",
         solver=place.solver,
     )
     seconds = perf_counter() - begin

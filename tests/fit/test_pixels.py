@@ -11,7 +11,7 @@ import pytest
 
 from fit._loss import Loss
 from fit._photo import REASONS, Photo
-from fit._pixels import Columns, choose_pixels, take_columns, to_samples
+from fit._pixels import Columns, check_sampling, choose_pixels, take_columns, to_samples
 from fit._reduce import BINS, THIN, bins, moments, thinned
 from fit._solve import exact_gram
 from fit._stream import TILE, Model, Samples
@@ -56,11 +56,11 @@ def photo_of(linear: np.ndarray, masked: np.ndarray, codes: np.ndarray | None = 
 
 
 def columns_of(photo: Photo | np.ndarray, layers: Layers, unit: float = 1.0) -> Columns:
-    return take_columns(photo, layers, choose_pixels(photo, layers), unit)
+    return take_columns(photo, layers, choose_pixels(photo, layers, "point"), unit)
 
 
 def check_sum(photo: Photo | np.ndarray, layers: Layers) -> dict[str, int]:
-    pixels = choose_pixels(photo, layers)
+    pixels = choose_pixels(photo, layers, "point")
     assert pixels.count + sum(pixels.excluded.values()) == pixels.used.size
     return pixels.excluded
 
@@ -69,7 +69,7 @@ def test_sky_only_by_default() -> None:
     planet = np.zeros(SIZE, np.float32)
     planet[3:] = 1
     light = np.full((*SIZE, 3), 0.5, np.float32)
-    pixels = choose_pixels(light, slab(planet))
+    pixels = choose_pixels(light, slab(planet), "point")
     assert pixels.excluded == {"no air": 5, "planet without a surface layer": 15}
     assert pixels.used.sum() == 10
     assert not pixels.remarks
@@ -82,7 +82,7 @@ def test_surface_brings_in_the_planet() -> None:
 
 
 def test_unknown_planet_is_said() -> None:
-    pixels = choose_pixels(np.full((*SIZE, 3), 0.5), slab())
+    pixels = choose_pixels(np.full((*SIZE, 3), 0.5), slab(), "point")
     assert pixels.count == 25
     assert [what for what, _ in pixels.remarks] == ["choice of sky pixels"]
 
@@ -103,6 +103,54 @@ def test_each_pixel_is_counted_once() -> None:
     codes = np.full((*SIZE, 3), 255, np.uint8)
     codes[5] = 0
     assert check_sum(photo_of(light, masked, codes), layers) == counts
+
+
+def test_edges_of_a_picture_of_areas_are_left_out() -> None:
+    """Both sides of the border between air and none, limb and sky, shaded and sunlit air."""
+    size = (12, 14)
+    planet = np.zeros(size, np.float32)
+    planet[10:] = 1
+    layers = slab(planet, size=size)
+    light = np.full((*size, 3), 0.5, np.float32)
+    pixels = choose_pixels(light, layers)
+    expected = np.zeros(size, bool)
+    expected[2:9] = True  # without row 1 beside space and row 9 beside the planet
+    expected[:, 7:9] = False  # the shadow begins at column 8
+    np.testing.assert_array_equal(pixels.used, expected)
+    assert pixels.excluded == {
+        "no air": 14,
+        "planet without a surface layer": 28,
+        "planet's limb": 14,
+        "edge of the air": 14,
+        "edge of the shadow": 14,
+    }
+    assert not pixels.remarks
+    every = choose_pixels(light, layers, "point")
+    assert every.excluded == {"no air": 14, "planet without a surface layer": 28}
+
+
+def test_air_that_is_all_edges_keeps_them() -> None:
+    pixels = choose_pixels(np.full((*SIZE, 3), 0.5), slab(np.zeros(SIZE, np.float32)))
+    assert pixels.count == 12
+    thin = choose_pixels(np.full((2, 5, 3), 0.5), slab(np.zeros((2, 5), np.float32), size=(2, 5)))
+    assert thin.count == 5
+    assert [what for what, _ in thin.remarks] == ["leaving out edges"]
+
+
+def test_missing_layers_make_no_edge() -> None:
+    layers = slab(size=(12, 14))
+    back = np.array(layers.back)
+    back[5, 3] = np.nan
+    holed = replace(layers, back=back)
+    light = np.full((12, 14, 3), 0.5)
+    whole, found = choose_pixels(light, layers), choose_pixels(light, holed)
+    assert found.excluded == whole.excluded | {"layers not finite": 1}
+
+
+def test_sampling_is_named() -> None:
+    assert check_sampling("point") == "point"
+    with pytest.raises(InputError, match=r"sampling: 'pixel' is unknown; choose from \['area'"):
+        check_sampling("pixel")
 
 
 def test_infinite_shadow_depths_are_no_fault() -> None:
@@ -140,7 +188,7 @@ def test_columns_hold_the_contract_widths(dtype: type) -> None:
     light = np.random.default_rng(0).uniform(size=(*SIZE, 3)).astype(dtype)
     layers = slab()
     found, scaled = columns_of(light, layers), columns_of(light, layers, 4.0)
-    used = choose_pixels(light, layers).used
+    used = choose_pixels(light, layers, "point").used
     lit, dark = layer_widths(layers)
     assert found.dark is not None
     assert scaled.dark is not None

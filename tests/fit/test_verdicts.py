@@ -291,7 +291,7 @@ def test_too_few_steps_do_not_converge(layers: Layers, monkeypatch: pytest.Monke
     """The exact steps at the end save every descent that is known, so they are left out."""
     for name in ("_FINISHES", "_FINISH_STEPS"):
         monkeypatch.setattr(_search, name, 0)
-    result = fit(picture(layers, TRUTH), layers, START, max_steps=1)
+    result = fit(picture(layers, TRUTH), layers, START, max_steps=1, sampling="point")
     assert result.verdict == "not_converged"
     assert VERDICTS[Verdict.NOT_CONVERGED][1] in result.message
     assert result.look.shadow != pytest.approx(TRUTH.shadow, rel=1e-6)
