@@ -95,8 +95,8 @@ def run_bench(
     repeats = 3 if quick else REPEATS
     width, height = (n // (4 if quick else 1) for n in SIZE)
     layers, photo = _picture(width, height)
-    pixels = choose_pixels(photo, layers, "point")
-    columns = take_columns(photo, layers, pixels, float(layers.width_unit))
+    used = choose_pixels(photo, layers, "point").used
+    columns = take_columns(photo, layers, used, float(layers.width_unit))
     best = _scipy_fit(columns, np.array([3.0, 0.2, 0.8, 0.9]), 1e-15)
     n = len(columns.lit)
     rows: list[Row] = []

@@ -41,7 +41,6 @@ from ._photo import Jpeg, Photo, orient
 from ._pixels import (
     Columns,
     PhotoLike,
-    Pixels,
     on_device,
     relit,
     size_of,
@@ -177,7 +176,7 @@ def undo_compression(
     for photo, of, c in zip(photos, layers, problem.columns, strict=True):
         used = np.zeros(size_of(photo), bool)
         used.reshape(-1)[c.index] = True
-        near.append(take_columns(photo, of, Pixels(_near(photo, used), {}, ()), unit))
+        near.append(take_columns(photo, of, _near(photo, used), unit))
     around = on_device(to_samples(near))
     model = problem.model
 

@@ -212,7 +212,8 @@ def fit(
     pixels = [choose_pixels(p, la, sampled) for p, la in zip(photos, all_layers, strict=True)]
     unit = float(all_layers[0].width_unit)
     columns = tuple(
-        take_columns(p, la, px, unit) for p, la, px in zip(photos, all_layers, pixels, strict=True)
+        take_columns(p, la, px.used, unit)
+        for p, la, px in zip(photos, all_layers, pixels, strict=True)
     )
     asked, left_out = _leave_out(task, columns)
     left_out = [LeftOut(*remark) for px in pixels for remark in px.remarks] + left_out
@@ -227,7 +228,7 @@ def fit(
         give_back()  # what compiling left behind
     times.append(perf_counter())
     result = _judge(task, problem, end, pixels, left_out)
-    airless = _airless(task, columns, result)
+    airless = _airless(task, pixels, columns, result)
     if airless:
         warnings = result.warnings
         result = _without_data(airless, task, pixels, columns, left_out)
@@ -814,15 +815,8 @@ def _photo_results(
     for c, px, layers, residual, response in zip(
         problem.columns, pixels, task.layers, residuals, responses, strict=True
     ):
-        believed = _believed(residual, problem.model.loss) > BELIEVED
-        count, square_sum, left, total = 0, 0.0, 0.0, 0.0
-        for k in range(3):
-            count_here, square_sum_here = _square_sum(residual[:, k])
-            count, square_sum = count + count_here, square_sum + square_sum_here
-            known = believed[:, k] & np.isfinite(residual[:, k])
-            light = c.light[known, k].astype(np.float64)
-            total += _square_sum(light - light.mean() if len(light) else light)[1]
-            left += _square_sum(residual[known, k])[1]
+        sums = [_square_sum(channel) for channel in residual.T]
+        count, square_sum = sum(n for n, _ in sums), sum(square for _, square in sums)
         found.append(
             PhotoResult(
                 used=px.used,
@@ -830,12 +824,26 @@ def _photo_results(
                 clipped=0 if c.clipped is None else int((c.clipped != 0).sum()),
                 mix=c.mix,
                 residual_rms=float(np.sqrt(square_sum / max(count, 1))),
-                explained=1 - left / total if total > 0 and end.finite else None,
+                explained=_explained(c.light, residual, problem.model.loss) if end.finite else None,
                 response=response,
                 width_unit=float(layers.width_unit),
             )
         )
     return found
+
+
+def _explained(
+    light: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, "n 3"], loss: Loss
+) -> float | None:
+    """Share of the light's variance, of measured samples that a robust loss does not dismiss."""
+    believed = _believed(residual, loss) > BELIEVED
+    left, total = 0.0, 0.0
+    for k in range(3):
+        known = believed[:, k] & np.isfinite(residual[:, k])
+        here = light[known, k].astype(np.float64)
+        total += _square_sum(here - here.mean() if len(here) else here)[1]
+        left += _square_sum(residual[known, k])[1]
+    return 1 - left / total if total > 0 else None
 
 
 def _interval(p: Parameter, value: float, reach: float) -> tuple[float, float]:
@@ -876,28 +884,41 @@ def _estimate(
     )
 
 
-def _airless(task: _Task, columns: Sequence[Columns], result: FitResult) -> str | None:
+def _airless(
+    task: _Task, pixels: Sequence[Pixels], columns: Sequence[Columns], result: FitResult
+) -> str | None:
     """Why no photo shows any air, or None.
 
     Asked only where the look leaves more of the light unexplained than `NO_BARE_LIMB`: the question
     costs up to seconds. A share that holds the planet's surface tells less, and so does the ring
-    beside it: `WELL_EXPLAINED` is enough there.
+    beside it: `WELL_EXPLAINED` is enough there. Edges tell a bare limb from air best and count
+    here; where a look explains so much of them and of the rest, it does of all.
     """
-    found: list[str] = []
-    for photo, layers, c, one in zip(task.photos, task.layers, columns, result.photos, strict=True):
+    if any(la.planet is None or not np.any(la.planet) for la in task.layers):
+        return None
+    unit = float(task.layers[0].width_unit)
+    beside = [
+        take_columns(photo, layers, px.edges, unit)
+        for photo, layers, px in zip(task.photos, task.layers, pixels, strict=True)
+    ]
+    shares = zip(result.photos, _shares(beside, result), task.layers, strict=True)
+    for one, of_edges, layers in shares:
         enough = NO_BARE_LIMB if layers.surface is None else WELL_EXPLAINED
-        well = one.explained is not None and one.explained >= enough
-        if well or layers.planet is None or not np.any(layers.planet):
+        if all(share is not None and share >= enough for share in (one.explained, *of_edges)):
             return None
+    found: list[str] = []
+    for number, (photo, layers) in enumerate(zip(task.photos, task.layers, strict=True)):
         widths = []
-        for width in (c.lit, c.dark):
-            if width is not None:
-                full = np.zeros(one.used.shape, np.float32)
-                full.reshape(-1)[c.index] = width
-                widths.append(full)
-        used = one.used
+        for of in ("lit", "dark"):
+            if getattr(columns[number], of) is None:
+                continue
+            full = np.zeros(np.shape(layers.front), np.float32)
+            for part in (columns[number], beside[number]):
+                full.reshape(-1)[part.index] = getattr(part, of)
+            widths.append(full)
+        used = pixels[number].used | pixels[number].edges
         if task.loss != "linear":
-            used = used & (result.weights(len(found)) > BELIEVED)
+            used &= ~(result.weights(number) <= BELIEVED)
         evidence = find_air(
             photo if isinstance(photo, Photo) else as_picture(photo),
             np.asarray(layers.planet) != 0,
@@ -912,6 +933,20 @@ def _airless(task: _Task, columns: Sequence[Columns], result: FitResult) -> str 
             f"(the shell's ΔBIC is {evidence.delta_bic:.0f}, needed are more than {EVIDENCE:.0f})"
         )
     return found[0]
+
+
+def _shares(columns: Sequence[Columns], result: FitResult) -> list[list[float | None]]:
+    """What a fit explains of the light of other pixels; nothing is said of none."""
+    evidence = result.evidence
+    if evidence is None or not any(len(c.index) for c in columns):
+        return [[] for _ in columns]
+    model = evidence.problem.model
+    samples = on_device(to_samples(columns))
+    left = residuals_of(columns, samples, model, evidence.end.vector)
+    return [
+        [_explained(c.light, residual, model.loss)] if len(c.index) else []
+        for c, residual in zip(columns, left, strict=True)
+    ]
 
 
 def _without_data(

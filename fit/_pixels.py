@@ -35,6 +35,8 @@ class Pixels:
 
     used: Bool[np.ndarray, "h w"]
     """True where a pixel takes part in the fit."""
+    edges: Bool[np.ndarray, "h w"]
+    """Pixels that would, were they not on an edge."""
     excluded: dict[str, int]
     """Reason → pixels; each pixel once, under the first reason that applies; no zero counts."""
     remarks: tuple[tuple[str, str], ...]
@@ -175,6 +177,7 @@ def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area")
             remarks.append(("choice of sky pixels", why))
         else:
             reasons["planet without a surface layer"] = np.asarray(layers.planet) != 0
+    edges: dict[str, np.ndarray] = {}
     if sampling == "area":
         edges = _edges(layers)
         air = ~np.logical_or.reduce(list(reasons.values()))
@@ -182,6 +185,7 @@ def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area")
         if inside.sum() >= LEAST_INSIDE * air.sum():
             reasons |= edges
         else:
+            edges = {}
             why = "hardly a pixel of air is without one; a camera's light there is not the model's"
             remarks.append(("leaving out edges", why))
     if isinstance(photo, Photo):
@@ -190,12 +194,18 @@ def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area")
         reasons["not finite"] = ~np.isfinite(as_picture(photo)).all(axis=-1)
     reasons["layers not finite"] = ~_finite(layers)
     used = np.ones(size, dtype=bool)
+    left_out = np.zeros(size, dtype=bool)
     excluded: dict[str, int] = {}
     for reason, where in reasons.items():
-        if count := int((used & where).sum()):
+        here = used & where
+        if count := int(here.sum()):
             excluded[reason] = count
+        if reason in edges:
+            left_out |= here
+        else:
+            left_out &= ~where
         used &= ~where
-    return Pixels(used, excluded, tuple(remarks))
+    return Pixels(used, left_out, excluded, tuple(remarks))
 
 
 def _edges(layers: Layers) -> dict[str, Bool[np.ndarray, "h w"]]:
@@ -240,14 +250,16 @@ def _border(
     return found
 
 
-def take_columns(photo: PhotoLike, layers: Layers, pixels: Pixels, width_unit: float) -> Columns:
+def take_columns(
+    photo: PhotoLike, layers: Layers, used: Bool[np.ndarray, "h w"], width_unit: float
+) -> Columns:
     """The used pixels in numbers.
 
     The widths are `layer_widths` of the layers' depths taken to float64: from float32 layers they
     are the exact widths of the stored depths. A sample at a photo's highest code is known to be at
     least the light half a code below it, one at code 0 at most the light half a code above.
     """
-    index = np.flatnonzero(pixels.used).astype(np.int32)  # `load_photo` reads fewer than 2^28
+    index = np.flatnonzero(used).astype(np.int32)  # `load_photo` reads fewer than 2^28
     clipped = None
     if isinstance(photo, Photo) and photo.codes is not None:
         clipped = _clipped(photo, photo.codes.reshape(-1, 3)[index])
@@ -272,7 +284,7 @@ def take_columns(photo: PhotoLike, layers: Layers, pixels: Pixels, width_unit: f
         surface=surface,
         clipped=clipped,
         color=np.asarray(layers.color, np.float64)[:3],
-        width_error=_width_error(layers, pixels, width_unit),
+        width_error=_width_error(layers, used, width_unit),
         drawn_error=None
         if layers.width_error is None
         else np.asarray(layers.width_error).reshape(-1)[index] / width_unit,
@@ -512,14 +524,14 @@ def _widths(
     return lit, dark
 
 
-def _width_error(layers: Layers, pixels: Pixels, unit: float) -> float:
+def _width_error(layers: Layers, used: Bool[np.ndarray, "h w"], unit: float) -> float:
     """Four depths enter a width, each off by half an ulp of the largest at most."""
-    if not pixels.count:
+    if not used.any():
         return 0.0
     front, back = np.asarray(layers.front), np.asarray(layers.back)
-    depth = max(float(np.abs(front[pixels.used]).max()), float(np.abs(back[pixels.used]).max()))
+    depth = max(float(np.abs(front[used]).max()), float(np.abs(back[used]).max()))
     if layers.stretch is not None:
-        depth *= float(np.asarray(layers.stretch)[pixels.used].max())
+        depth *= float(np.asarray(layers.stretch)[used].max())
     return 2.0 * float(np.finfo(front.dtype).eps) * depth / unit
 
 

@@ -289,6 +289,17 @@ def test_antialiased_limbs_of_50_scenes(samples: int) -> None:
     assert share >= 0.9
 
 
+def test_thin_air_in_noise_is_air() -> None:
+    """Half of its pixels are on edges, and with them it is told from a bare limb."""
+    look = Look(0.97, 0.42, (0.83, 1.21, 0.96), background=0.14)
+    light = light_of(any_view(np.random.default_rng(8), 2), look, 2)
+    light += np.random.default_rng(6).normal(scale=0.03, size=light.shape)
+    result = fit(light, analytic_layers(any_view(np.random.default_rng(8))))
+    assert result.verdict == "converged", result.message
+    left_out = [n for reason, n in result.pixels["excluded"].items() if "edge" in reason]
+    assert sum(left_out) > 0.3 * result.used.sum()
+
+
 KINDS = ("vignette", "tone", "antialiased")
 
 

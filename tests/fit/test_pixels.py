@@ -56,7 +56,7 @@ def photo_of(linear: np.ndarray, masked: np.ndarray, codes: np.ndarray | None = 
 
 
 def columns_of(photo: Photo | np.ndarray, layers: Layers, unit: float = 1.0) -> Columns:
-    return take_columns(photo, layers, choose_pixels(photo, layers, "point"), unit)
+    return take_columns(photo, layers, choose_pixels(photo, layers, "point").used, unit)
 
 
 def check_sum(photo: Photo | np.ndarray, layers: Layers) -> dict[str, int]:
@@ -126,6 +126,8 @@ def test_edges_of_a_picture_of_areas_are_left_out() -> None:
     }
     assert not pixels.remarks
     every = choose_pixels(light, layers, "point")
+    np.testing.assert_array_equal(pixels.edges, every.used & ~pixels.used)
+    assert not every.edges.any()
     assert every.excluded == {"no air": 14, "planet without a surface layer": 28}
 
 

@@ -30,7 +30,7 @@ def test_optimistix_solves_the_tiled_pass(name: str, layers64: Layers, x64: None
     photo = picture(layers64, TRUTH)
     photo = photo + np.random.default_rng(5).normal(scale=0.02, size=photo.shape)
     pixels = choose_pixels(photo, layers64)
-    columns = take_columns(photo, layers64, pixels, float(layers64.width_unit))
+    columns = take_columns(photo, layers64, pixels.used, float(layers64.width_unit))
     samples = jax.tree.map(jnp.asarray, to_samples([columns], tile=len(columns.lit) // 5))
     assert int(samples.used) == 6
     start = Look(2.0, 0.4, TRUTH.tint)
