@@ -1056,9 +1056,10 @@ def _misfit_warnings(result: FitResult) -> list[str]:
             continue
         which = f" of photo {number + 1}" if len(result.photos) > 1 else ""
         also = ", ".join(misfit.cause for misfit in causes[1:])
+        like = " or ".join(CAUSES[name][0] for name in (causes[0].cause, *causes[0].rivals))
         found.append(
             f"The light left over{which} is not noise alone: {_percent(causes[0].share)} of it "
-            f"goes with {CAUSES[causes[0].cause][0]}"
+            f"goes with {like}"
             + (f"; less plainly with: {also}" if also else "")
             + ". Intervals are widened by what that may have moved."
         )

@@ -52,6 +52,10 @@ PRIOR = 0.5
 """Amount of a cause that surprises nobody: a vignette of half the light, half a gamma, half a
 pixel. Of what a test hardly sees no more is believed."""
 
+APART = 6.0
+"""Difference in Akaike's criterion up to which a photo does not tell two causes apart: odds of 20
+to 1 (Akaike, IEEE Trans. Automat. Contr. 19, 716, 1974)."""
+
 FEWEST = 3
 """Degrees of freedom for each amount, below which nothing is tested."""
 
@@ -245,9 +249,11 @@ def find_doubts(
         if sums is None:
             continue
         if sampling == "area":
-            average = sums.shift_of(sums.average)
-            amount = sums.amounts(sums.average, [sums.slopes]) if look_for_causes else None
-            covariance += average @ average.T * _likely(amount)
+            shift = sums.shift_of(sums.average)
+            found_of = sums.amounts(sums.average, [sums.slopes]) if look_for_causes else None
+            covariance += shift @ shift.T * _likely(found_of)
+            if found_of is not None:
+                sums = sums.without_average(float(np.clip(found_of.amounts[0], 0, 1)))
         if look_for_causes:
             misfits, moved = _doubts_of(sums, number, least)
             found += misfits
@@ -284,16 +290,19 @@ def _doubts_of(
     beside = [sums.slopes]
     causes = dict(sums.causes)
     while causes:
-        found = {cause: sums.amounts(part, beside) for cause, part in causes.items()}
-        plain = {c: f for c, f in found.items() if f is not None and f.chance <= ALARM}
+        tested = {cause: sums.amounts(part, beside) for cause, part in causes.items()}
+        found = {cause: amounts for cause, amounts in tested.items() if amounts is not None}
+        plain = {cause: amounts for cause, amounts in found.items() if amounts.chance <= ALARM}
         if not plain:
             break
         cause = max(plain, key=lambda c: plain[c].gained)
         one = plain[cause]
+        near = {c: f for c, f in found.items() if one.information - f.information < APART}
         if len(beside) == 1:
-            moved = one.moved
+            moved = np.mean([f.moved for f in near.values()], axis=0)
         if one.gained > sums.count * least**2:
-            misfits.append(Misfit(number, cause, one.gained / sums.left, one.chance))
+            rivals = tuple(sorted(near.keys() - {cause}, key=lambda c: -near[c].information))
+            misfits.append(Misfit(number, cause, rivals, one.gained / sums.left, one.chance))
         # What the plainest cause explains no other needs to.
         beside.append(causes.pop(cause))
     return misfits, moved
@@ -322,6 +331,8 @@ class _Amounts:
     """That noise looks like this."""
     gained: float
     """Square sum of the light that goes with the cause and with nothing beside it."""
+    information: float
+    """Akaike's criterion, negative: the more, the likelier is the cause."""
     moved: Float[np.ndarray, "t t"]
     """Mean square of how far all light of the cause moves the told parameters, in amounts that are
     likely by the photo and by `PRIOR`."""
@@ -410,6 +421,12 @@ class _Sums:
         root = inverse_root(self.curved)
         return np.asarray(self.told @ root @ (root.T @ pulled))
 
+    def without_average(self, share: float) -> "_Sums":
+        """The same with so much of the mean over pixels' squares taken from what is left over."""
+        change = np.eye(len(self.total))
+        change[self.average, -1] = -share
+        return replace(self, products=change.T @ self.products @ change)
+
     def amounts(self, part: slice, beside: Sequence[slice]) -> _Amounts | None:
         """How much of a cause's columns is in what is left over, others beside it.
 
@@ -451,6 +468,7 @@ class _Sums:
             covariance=kept @ middle @ kept.T,
             chance=float(fisher.sf(ratio, q, freedom - q + 1)),
             gained=float(amounts @ amounts),
+            information=float(amounts @ amounts) * q / float(np.trace(middle)) - 2 * q,
             moved=moved @ np.outer(mean, mean) @ moved.T,
         )
 

@@ -140,6 +140,8 @@ class Misfit:
     photo: int
     cause: str
     """"tone", "air", "vignette", "stray", "edges" or "colour"."""
+    rivals: tuple[str, ...]
+    """Other causes that explain it as well, by the odds of noise."""
     share: float
     """Of the variance left over that goes with it."""
     chance: float
@@ -358,7 +360,12 @@ class FitResult:
             ],
             "left_out": [{"what": item.what, "why": item.why} for item in self.left_out],
             "misfits": [
-                {"photo": m.photo + 1, "cause": m.cause, "share": _number(m.share)}
+                {
+                    "photo": m.photo + 1,
+                    "cause": m.cause,
+                    "rivals": list(m.rivals),
+                    "share": _number(m.share),
+                }
                 for m in self.misfits
             ],
             "solver": self.solver,
