@@ -172,9 +172,12 @@ def _colour(patch: _Patch) -> list[np.ndarray]:
 CAUSES: dict[str, tuple[str, Pattern]] = {
     "tone": ("how bright it is (another tone curve, or air that is no uniform slab)", _tone),
     "air": ("how thick the air is (air that is no uniform slab, or another tone curve)", _air),
-    "vignette": ("a brightness that changes with the place (a vignette)", _vignette),
+    "vignette": (
+        "a brightness that changes with the place (a vignette, or air that is lit unevenly)",
+        _vignette,
+    ),
     "stray": ("a background that changes with the place (stray light)", _stray),
-    "edges": ("edges (layers shifted against the photo, blur, antialiasing)", _edges),
+    "edges": ("edges (layers shifted against the photo, or blur)", _edges),
     "colour": ("colour (of the air or the background, which was not fitted)", _colour),
 }
 """Name, what light that is left over goes with, and what that looks like."""

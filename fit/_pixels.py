@@ -227,7 +227,7 @@ def _edges(layers: Layers) -> dict[str, Bool[np.ndarray, "h w"]]:
 
 
 def _shade(layers: Layers) -> list[Bool[np.ndarray, "h w"]]:
-    """Where some of the air is in a shadow, and where all of it is."""
+    """Where some of the air is in each body's shadow, and where all of it is."""
     front, back = np.asarray(layers.front), np.asarray(layers.back)
     begin, until = np.asarray(layers.shadow_front), np.asarray(layers.shadow_back)
     with np.errstate(invalid="ignore"):
@@ -235,7 +235,7 @@ def _shade(layers: Layers) -> list[Bool[np.ndarray, "h w"]]:
         some = np.minimum(back, until) - np.maximum(front, begin) > rounding
         all_of = (begin < front + rounding) & (until > back - rounding)
     air = np.asarray(layers.has_air)
-    return [air & part.reshape(-1, *air.shape).any(axis=0) for part in (some, all_of)]
+    return [air & one for part in (some, all_of) for one in part.reshape(-1, *air.shape)]
 
 
 def _border(

@@ -57,7 +57,8 @@ class TracedFit(eqx.Module):
     look: Look
     response: Response
     covariance: Float[jax.Array, "t t"]
-    """Of the parameters in `names`, by blocks; NaN where the verdict is not about an optimum."""
+    """Of the parameters in `names`, by blocks: what noise does, and not what may be wrong with the
+    model. NaN where the verdict is not about an optimum."""
     verdict: Int[jax.Array, ""]
     """Code of a `Verdict`."""
     square_sum: Float[jax.Array, ""]
