@@ -186,8 +186,8 @@ def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area")
             reasons |= edges
         else:
             edges = {}
-            why = "hardly a pixel of air is without one; a camera's light there is not the model's"
-            remarks.append(("leaving out edges", why))
+            why = "hardly a pixel of air is without an edge; these count as if sampled in the middle"
+            remarks.append(("averaging on edges", why))
     if isinstance(photo, Photo):
         reasons |= {name: photo.reason == k + 1 for k, name in enumerate(REASONS)}
     else:

@@ -136,7 +136,7 @@ def test_air_that_is_all_edges_keeps_them() -> None:
     assert pixels.count == 12
     thin = choose_pixels(np.full((2, 5, 3), 0.5), slab(np.zeros((2, 5), np.float32), size=(2, 5)))
     assert thin.count == 5
-    assert [what for what, _ in thin.remarks] == ["leaving out edges"]
+    assert [what for what, _ in thin.remarks] == ["averaging on edges"]
 
 
 def test_missing_layers_make_no_edge() -> None:
