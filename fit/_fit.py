@@ -733,7 +733,7 @@ def _half_steps(
     for photo, c in zip(photos, columns, strict=True):
         steps = None
         if isinstance(photo, Photo) and photo.codes is not None and photo.half_steps is not None:
-            steps = photo.half_steps[photo.codes.reshape(-1, 3)[c.index]].astype(np.float64)
+            steps = photo.half_steps[photo.codes.reshape(-1, 3)[c.index]]
         found.append(steps)
     return found
 

@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from model_jax import Layers
 
@@ -469,7 +469,7 @@ class _Sums:
         return _Amounts(
             amounts=kept @ amounts,
             covariance=kept @ middle @ kept.T,
-            chance=float(fisher.sf(ratio, q, freedom - q + 1)),
+            chance=float(fdtrc(q, freedom - q + 1, ratio)),
             gained=float(amounts @ amounts),
             information=float(amounts @ amounts) * q / float(np.trace(middle)) - 2 * q,
             moved=moved @ np.outer(mean, mean) @ moved.T,

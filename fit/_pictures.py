@@ -200,8 +200,10 @@ def profiles(
         chosen = group & np.isfinite(height)
         seen, made, tall = photo[chosen], model[chosen], height[chosen]
         finite = np.isfinite(seen).all(axis=-1) & np.isfinite(made).all(axis=-1)
-        if finite.any():
-            found.append(_profile(name, seen[finite], made[finite], tall[finite]))
+        if not finite.all():  # copies of a large photo's light are spared
+            seen, made, tall = seen[finite], made[finite], tall[finite]
+        if len(tall):
+            found.append(_profile(name, seen, made, tall))
     return found
 
 

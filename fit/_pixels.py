@@ -186,7 +186,9 @@ def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area")
             reasons |= edges
         else:
             edges = {}
-            why = "hardly a pixel of air is without an edge; these count as if sampled in the middle"
+            why = (
+                "hardly a pixel of air is without an edge; these count as if sampled in the middle"
+            )
             remarks.append(("averaging on edges", why))
     if isinstance(photo, Photo):
         reasons |= {name: photo.reason == k + 1 for k, name in enumerate(REASONS)}
