@@ -179,7 +179,8 @@ def test_standard_errors_are_those_of_repetition(layers: Layers) -> None:
     """
     rng = np.random.default_rng(3)
     clean = picture(layers, TRUTH)
-    runs = [fit(clean + rng.normal(scale=0.02, size=clean.shape), layers) for _ in range(200)]
+    photos = [clean + rng.normal(scale=0.02, size=clean.shape) for _ in range(200)]
+    runs = [fit(photo, layers, sampling="point") for photo in photos]
     names = runs[0].correlation_names
     true = {"brightness": 3.0, "shadow": 0.2, "background": 0.01}
     true |= dict(zip(("tint.r", "tint.g", "tint.b"), (0.8, 0.9, 1.3), strict=True))

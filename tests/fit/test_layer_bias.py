@@ -111,7 +111,7 @@ def test_intervals_cover_the_truth_over_layers_of(source: str) -> None:
         case, layers = drawn[SIZES[number % len(SIZES)]]
         light = exact_light(case, look)
         photo = (light + rng.normal(scale=NOISE, size=light.shape)).astype(np.float32)
-        result = fit(photo, layers, Look(), free=FREE)
+        result = fit(photo, layers, Look(), free=FREE, sampling="point")
         assert result.verdict == "converged", result.message
         truth = {"brightness": look.brightness, "shadow": look.shadow, "background": 0.02}
         truth |= {f"tint.{c}": 1.0 for c in "rgb"}
