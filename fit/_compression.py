@@ -34,9 +34,9 @@ from jaxtyping import Bool, Float, Int, UInt, UInt8
 from PIL import Image
 from PIL.JpegImagePlugin import JpegImageFile
 
-from model_jax import InputError, Layers
+from model_jax import Layers
 
-from ._parameters import Entries, Parameter, is_outside
+from ._parameters import Entries, Parameter, is_outside, one_of
 from ._photo import Jpeg, Photo, orient
 from ._pixels import (
     Columns,
@@ -54,6 +54,7 @@ from ._uncertainty import area_of, predictions_of
 
 JpegHandling = Literal["keep", "undo"]
 """What is done about a photo that is a JPEG: nothing but a warning, or what is described here."""
+_HANDLINGS: tuple[JpegHandling, ...] = get_args(JpegHandling)
 
 SEED = 20261123
 """Of the made-up noise, together with a photo's codes: a fit gives the same result each time, and
@@ -137,15 +138,8 @@ def is_coarse(jpeg: Jpeg) -> bool:
 
 
 def check_jpeg(name: str) -> JpegHandling:
-    """The name, if it is one.
-
-    Raises:
-        InputError: it is not.
-    """
-    for known in get_args(JpegHandling):
-        if name == known:
-            return known
-    raise InputError(f"jpeg: {name!r} is unknown; choose from {list(get_args(JpegHandling))}")
+    """The name, if it is one; else an `InputError`."""
+    return one_of("jpeg", name, _HANDLINGS)
 
 
 def undo_compression(

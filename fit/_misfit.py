@@ -2,14 +2,17 @@
 
 Noise does not know where it is in the picture, how bright the light is or how thick the air. So
 what is left over is held against what the usual causes would leave there: another tone curve, a
-vignette, stray light, air that is no slab, blur, shift and antialiasing, colours that nobody
-fitted. Each cause is a few columns beside the slopes of the fit, a linear least squares problem (a
-Lagrange multiplier test: Breusch and Pagan, Rev. Econ. Stud. 47, 239, 1980). Its amounts β are
-judged against the scatter of blocks, as the fit's own errors are (`_uncertainty`), so that noise
-may be correlated and of any size: βᵀ V⁻¹ β is Hotelling's T², with the blocks' degrees of freedom.
+vignette, stray light, air that is no slab, blur and shift, colours that nobody fitted. Each cause
+is a few columns beside the slopes of the fit, a linear least squares problem (a Lagrange multiplier
+test: Breusch and Pagan, Rev. Econ. Stud. 47, 239, 1980). Its amounts β are judged against the
+scatter of blocks, as the fit's own errors are (`_uncertainty`), so that noise may be correlated and
+of any size: βᵀ V⁻¹ β is Hotelling's T², with the blocks' degrees of freedom.
 
 How far a cause has moved the fitted values is the sum of each sample's influence times what the
 cause adds to it. That much they may be off, and intervals widen by it.
+
+A pixel may show a mean over its square where layers know its middle (`Sampling`). That is no fault
+of the model: what it may move is counted, and what it explains is no misfit.
 
 What acts as a parameter does shows in no test: a gain common to all pixels is exposure.
 """
@@ -210,9 +213,9 @@ def find_doubts(
     if not len(to_told) or not (look_for_causes or sampling == "area"):
         return Doubts((), np.zeros((len(to_told), len(to_told))))
     influence = np.linalg.solve(hessian, to_told.T)
-    size = np.linalg.norm(influence, axis=1)
-    size = np.where(size > 0, size, 1.0)
-    slopes_of = np.linalg.pinv(influence / size[:, None]) / size
+    length = np.linalg.norm(influence, axis=1)
+    length = np.where(length > 0, length, 1.0)
+    slopes_of = np.linalg.pinv(influence / length[:, None]) / length
     weight = np.zeros(len(vector)) if model.prior is None else np.asarray(model.prior.weight)
     prior = (along.T * weight) @ along
     nobody = np.zeros(0, np.intp)
@@ -253,10 +256,10 @@ def find_doubts(
             continue
         if sampling == "area":
             shift = sums.shift_of(sums.average)
-            found_of = sums.amounts(sums.average, [sums.slopes]) if look_for_causes else None
-            covariance += shift @ shift.T * _likely(found_of)
-            if found_of is not None:
-                sums = sums.without_average(float(np.clip(found_of.amounts[0], 0, 1)))
+            average = sums.amounts(sums.average, [sums.slopes]) if look_for_causes else None
+            covariance += shift @ shift.T * _likely(average)
+            if average is not None:
+                sums = sums.without_average(float(np.clip(average.amounts[0], 0, 1)))
         if look_for_causes:
             misfits, moved = _doubts_of(sums, number, least)
             found += misfits
@@ -328,8 +331,9 @@ class _Amounts:
     """What was found of a cause."""
 
     amounts: Float[np.ndarray, " k"]
+    """Of each of its columns."""
     covariance: Float[np.ndarray, "k k"]
-
+    """Of these, by the scatter of blocks."""
     chance: float
     """That noise looks like this."""
     gained: float
@@ -359,6 +363,7 @@ class _Sums:
     slopes: slice
     causes: dict[str, slice]
     average: slice
+    """The column of `_average`; what is left over comes after it, the last."""
 
     @staticmethod
     def of(

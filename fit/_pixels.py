@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int, Int8, UInt
 from model_jax import InputError, Layers, layer_widths
 from model_jax._shapes import AnyArray
 
+from ._parameters import one_of
 from ._photo import REASONS, Photo
 from ._stream import TILE, Samples, capacity
 
@@ -27,6 +28,7 @@ PhotoLike = Photo | np.ndarray | jax.Array
 Sampling = Literal["area", "point"]
 """What a pixel of a photo shows: a mean over its square, or a part of it, as a camera's or of a
 supersampled picture; or the light in its middle, as of a render without antialiasing."""
+_SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
 
 
 @dataclass(frozen=True)
@@ -140,15 +142,8 @@ _ROUNDINGS = 4
 
 
 def check_sampling(name: str) -> Sampling:
-    """The name, if it is one.
-
-    Raises:
-        InputError: it is not.
-    """
-    for known in get_args(Sampling):
-        if name == known:
-            return known
-    raise InputError(f"sampling: {name!r} is unknown; choose from {list(get_args(Sampling))}")
+    """The name, if it is one; else an `InputError`."""
+    return one_of("sampling", name, _SAMPLINGS)
 
 
 def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area") -> Pixels:

@@ -23,6 +23,7 @@ from model_jax import (
     composite,
 )
 
+from . import looks
 from .test_coverage import NOISES
 
 SIZE = (72, 96)
@@ -34,21 +35,10 @@ POWER = 0.95
 
 def view(samples: int = 1) -> Scene:
     """The scene of the failing case, blue air, sampled so often along each side of a pixel."""
-    return Scene(
-        camera=Camera(
-            position=(0, 0, 3.0),
-            forward=(0, 0, -1.0),
-            up=(0, 1.0, 0),
-            fov_y_deg=50,
-            width=SIZE[1] * samples,
-            height=SIZE[0] * samples,
-            near=0.5,
-            far=6.0,
-        ),
-        planet=Planet(radius=1.0),
-        atmosphere=Atmosphere(height=0.2, color=(0.35, 0.55, 1.0)),
-        sun=Sun(direction=(1, 0.2, 0.3)),
-    )
+    plain = looks.scene()
+    camera = plain.camera.resized(SIZE[1] * samples, SIZE[0] * samples)
+    air = Atmosphere(height=0.2, color=(0.35, 0.55, 1.0))
+    return Scene(camera, plain.planet, air, plain.sun)
 
 
 def any_view(rng: np.random.Generator, samples: int = 1) -> Scene:
@@ -187,8 +177,7 @@ def test_what_averaging_does_is_no_misfit(layers: Layers) -> None:
     light += np.random.default_rng(0).normal(scale=0.001, size=light.shape)
     result = fit(light, layers)
     assert not result.misfits
-    bend = fit(light, layers, sampling="point")
-    assert bend.misfits
+    assert fit(light, layers, sampling="point").misfits
 
 
 @pytest.mark.parametrize("how", ["vignette", "shift", "blur", "stray"])
