@@ -21,13 +21,15 @@ numbers.
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from model_jax import DriverError, InputError, Look, Scene, shadows_in_view, view_of
+from model_jax._shapes import is_traced
 from model_jax._view import Aim, ShadowCone
 
-from ._context import gl_context
+from ._context import on_gl
 from ._depth_format import STORAGE, DepthFormat, Storage
 from ._maps import load_albedo, load_relief
 from ._mesh import Mesh, cone_mesh, sphere_mesh
@@ -80,11 +82,28 @@ def draw(scene: Scene, look: Look, depth_format: DepthFormat, source: Source = "
     """Draw a scene.
 
     Raises `DriverError` when there is no driver or it fails, `InputError` for a picture, texture or
-    number of shadows beyond the driver's limit, unreadable maps, and an unknown source.
+    number of shadows beyond the driver's limit, unreadable maps, an unknown source, and what is
+    traced.
     """
     if source not in SOURCES:
         raise InputError(f"source {source!r} is unknown; use one of {', '.join(SOURCES)}")
-    context = gl_context()
+    if is_traced(scene, look):
+        raise InputError(
+            "render: the scene or look is traced, and OpenGL draws numbers only; draw outside of "
+            "jit, vmap and grad, or use analytic_layers"
+        )
+    # Host numbers: what JAX's would be rounded to is a setting of the calling thread.
+    scene, look = jax.tree.map(np.asarray, (scene, look))
+    return on_gl(lambda context: _draw(context, scene, look, depth_format, source))
+
+
+def _draw(
+    context: "moderngl.Context",
+    scene: Scene,
+    look: Look,
+    depth_format: DepthFormat,
+    source: Source,
+) -> Frame:
     _check_size(context, "camera", scene.camera.width, scene.camera.height)
     try:
         frame = _Passes(context, scene, look, STORAGE[depth_format], source).run()

@@ -22,17 +22,21 @@ correctly rounded e is 0; else it is the largest error found plus 1, and at most
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from model_jax import DriverError, Look, Scene, combine, depth_constants
 
-from ._context import gl_context
+from ._context import on_gl
 from ._depth_format import EPS, STORAGE, DepthFormat
 from ._draw import Frame, assign_uniforms
 from ._render import frame_layers
 from ._shaders import program
+
+if TYPE_CHECKING:
+    import moderngl
 
 ROUNDINGS = 11
 STRETCH_ROUNDINGS = 8
@@ -138,19 +142,7 @@ def measure_division(scene: Scene, depth_format: DepthFormat) -> float:
     constants = depth_constants(near, far, encoding == "reversed")
     a, b = (np.float32(number) for number in constants)
     windows = np.random.default_rng(20260101).random((PROBES, PROBES), dtype=np.float32)
-    context = gl_context()
-    source = context.texture((PROBES, PROBES), 1, windows.tobytes(), dtype="f4")
-    result = context.texture((PROBES, PROBES), 1, dtype="f4")
-    shader = program("screen.vert", "probe.frag")
-    assign_uniforms(
-        shader,
-        {"depth_constants": (float(a), float(b)), "windows": 0, "clip_planes": (0.0, 1.0)},
-    )
-    context.framebuffer([result]).use()
-    context.enable_only(0)
-    source.use(0)
-    context.vertex_array(shader, []).render(vertices=3)
-    drawn = np.frombuffer(result.read(), dtype=np.float32).reshape(PROBES, PROBES)
+    drawn = on_gl(lambda context: _probe(context, windows, (float(a), float(b))))
     if not np.all(np.isfinite(drawn)):
         raise DriverError(
             f"the driver's linearize_depth gives numbers that are not finite for near {near:g} and "
@@ -159,6 +151,23 @@ def measure_division(scene: Scene, depth_format: DepthFormat) -> float:
     exact = b / (windows - a)
     error = float(np.max(np.abs(drawn - exact) / np.spacing(np.abs(exact))))
     return 0.0 if error == 0 else min(error + 1.0, SPECIFIED_DIVISION)
+
+
+def _probe(
+    context: "moderngl.Context", windows: np.ndarray, constants: tuple[float, float]
+) -> np.ndarray:
+    """Depths by the shader's own `linearize_depth`."""
+    source = context.texture((PROBES, PROBES), 1, windows.tobytes(), dtype="f4")
+    result = context.texture((PROBES, PROBES), 1, dtype="f4")
+    shader = program("screen.vert", "probe.frag")
+    assign_uniforms(shader, {"depth_constants": constants, "windows": 0, "clip_planes": (0.0, 1.0)})
+    context.framebuffer([result]).use()
+    context.enable_only(0)
+    source.use(0)
+    context.vertex_array(shader, []).render(vertices=3)
+    drawn = np.frombuffer(result.read(), dtype=np.float32).reshape(PROBES, PROBES)
+    context.gc()
+    return drawn
 
 
 def _finite(values: np.ndarray) -> np.ndarray:

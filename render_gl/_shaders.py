@@ -11,7 +11,7 @@ from importlib import resources
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from ._context import gl_context
+from ._context import on_gl
 
 if TYPE_CHECKING:
     import moderngl
@@ -68,7 +68,7 @@ def program(vertex: str, fragment: str, defines: Mapping[str, int] = NONE) -> "m
 
 @cache
 def _compile(vertex: str, fragment: str) -> "moderngl.Program":
-    return gl_context().program(vertex_shader=vertex, fragment_shader=fragment)
+    return on_gl(lambda context: context.program(vertex_shader=vertex, fragment_shader=fragment))
 
 
 def _read(name: str) -> str:

@@ -28,7 +28,7 @@ from fit._cli import main
 from fit._export import Format, Number, export_text, float_literal, read_fit
 from model_jax import PARAMETERS, InputError, Look, Scene, combine, composite
 from render_gl import _shaders
-from render_gl._context import gl_context
+from render_gl._context import on_gl
 from render_gl._draw import draw
 from render_gl._parity import EPS, Parity, compare, measure_division
 from render_gl._render import frame_layers
@@ -218,23 +218,25 @@ def test_the_driver_reads_literals_as_the_same_float32(rng: np.random.Generator)
     drawn_at_random = rng.standard_normal(118) * 10.0 ** rng.integers(-30, 30, 118)
     values = np.array([*odd, *drawn_at_random])
     listed = ", ".join(map(float_literal, values))
-    context = gl_context()
-    shader = context.program(
-        vertex_shader="""#version 330
-            void main() {
-                vec2 corner = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0);
-                gl_Position = vec4(corner, 0.0, 1.0);
-            }""",
-        fragment_shader=f"""#version 330
-            const float values[{len(values)}] = float[]({listed});
-            out float value;
-            void main() {{ value = values[int(gl_FragCoord.x)]; }}""",
-    )
-    texture = context.texture((len(values), 1), 1, dtype="f4")
-    context.framebuffer([texture]).use()
-    context.enable_only(0)
-    context.vertex_array(shader, []).render(vertices=3)
-    assert texture.read() == values.astype(np.float32).tobytes()
+    vertex = """#version 330
+        void main() {
+            vec2 corner = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0);
+            gl_Position = vec4(corner, 0.0, 1.0);
+        }"""
+    fragment = f"""#version 330
+        const float values[{len(values)}] = float[]({listed});
+        out float value;
+        void main() {{ value = values[int(gl_FragCoord.x)]; }}"""
+
+    def draw(context) -> bytes:
+        shader = context.program(vertex_shader=vertex, fragment_shader=fragment)
+        texture = context.texture((len(values), 1), 1, dtype="f4")
+        context.framebuffer([texture]).use()
+        context.enable_only(0)
+        context.vertex_array(shader, []).render(vertices=3)
+        return texture.read()
+
+    assert on_gl(draw) == values.astype(np.float32).tobytes()
 
 
 # --- the other formats --------------------------------------------------------------------------
@@ -355,20 +357,23 @@ def test_uniforms_have_the_constants_as_defaults(written) -> None:
     fitted = read_fit(written(document_of(ODD, 5.5)))
     lines = export_text(fitted, Format.glsl_uniform)
     assert re.sub("^uniform ", "const ", lines, flags=re.M) == export_text(fitted, Format.glsl)
-    program = gl_context().program(
-        vertex_shader=f"""#version 330
-            {lines}
-            void main() {{
-                vec3 all = shadow + tint + background;
-                gl_Position = vec4(all, brightness + width_unit);
-            }}"""
-    )
-    assert np.float32(program["brightness"].value) == np.float32(ODD.brightness)
-    assert program["width_unit"].value == 5.5
+    vertex = f"""#version 330
+        {lines}
+        void main() {{
+            vec3 all = shadow + tint + background;
+            gl_Position = vec4(all, brightness + width_unit);
+        }}"""
+    names = ("brightness", "width_unit", "shadow", "tint", "background")
+
+    def defaults(context) -> dict[str, object]:
+        shader = context.program(vertex_shader=vertex)
+        return {name: shader[name].value for name in names}
+
+    found = on_gl(defaults)
+    assert np.float32(found["brightness"]) == np.float32(ODD.brightness)
+    assert found["width_unit"] == 5.5
     for name in ("shadow", "tint", "background"):
-        np.testing.assert_array_equal(
-            np.float32(program[name].value), np.float32(getattr(ODD, name))
-        )
+        np.testing.assert_array_equal(np.float32(found[name]), np.float32(getattr(ODD, name)))
 
 
 def test_schema_1_is_read(written) -> None:
