@@ -21,6 +21,7 @@ import render_gl
 from model_jax import AirlightError, InputError, Layers, Look, Scene, Srgb, composite
 
 from . import _assignments as assignments
+from ._compile import float64
 from ._compression import JpegHandling
 from ._export import Format, export_text, read_fit, write_export
 from ._job import Job, Source, make_layers, prepare_folder, run_job, versions
@@ -59,7 +60,7 @@ def main() -> None:
     if len(sys.argv) == 1:
         sys.argv.append("--help")
     try:
-        with jax.enable_x64(True):
+        with float64():
             app(standalone_mode=False)
     except (AirlightError, UsageError) as error:
         line = str(error)

@@ -27,7 +27,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, get_args
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt, UInt8
@@ -36,6 +35,7 @@ from PIL.JpegImagePlugin import JpegImageFile
 
 from model_jax import Layers
 
+from ._compile import float64
 from ._parameters import Entries, Parameter, is_outside, one_of
 from ._photo import Jpeg, Photo, orient
 from ._pixels import (
@@ -137,7 +137,7 @@ def is_coarse(jpeg: Jpeg) -> bool:
     return bool(np.mean([steps[place] for place in _LOW]) > COARSEST)
 
 
-def check_jpeg(name: str) -> JpegHandling:
+def check_jpeg(name: object) -> JpegHandling:
     """The name, if it is one; else an `InputError`."""
     return one_of("jpeg", name, _HANDLINGS)
 
@@ -366,7 +366,7 @@ def _reminded(model: Model, here: Entries, noise: float, rng: np.random.Generato
     weight = np.asarray(prior.weight)
     sigma = np.where(weight > 0, noise / np.sqrt(np.where(weight > 0, weight, 1)), 0)
     mean = here + sigma * rng.normal(size=len(here))
-    with jax.enable_x64(True):
+    with float64():
         return replace(model, prior=Prior(jnp.asarray(mean), prior.weight))
 
 

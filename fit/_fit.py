@@ -8,6 +8,7 @@ choose pixels ──> samples ──> search, by descents ──> errors ──>
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from os import PathLike
 from time import perf_counter
 from typing import Any, overload
 
@@ -16,11 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import InputError, Layers, Look, Response
+from model_jax import InputError, Layers, Look, Response, Scene
 from model_jax._shapes import AnyArray, is_traced
 
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
-from ._compile import program
+from ._compile import float64, program
 from ._compression import JpegHandling, Undone, check_jpeg, is_coarse, undo_compression
 from ._loss import Loss, LossName, check_loss, weigh
 from ._memory import bound_programs, give_back
@@ -33,6 +34,8 @@ from ._parameters import (
     declare,
     directions,
     followers,
+    links,
+    pairs,
     to_entries,
     to_look,
     to_responses,
@@ -136,19 +139,19 @@ def fit(
 
 def fit(
     photo: Any,
-    layers: Layers | Sequence[Layers],
-    look: Look = Look(),  # noqa: B008 (a frozen record)
+    layers: Any,
+    look: Any = Look(),  # noqa: B008 (a frozen record)
     *,
-    free: Iterable[str] | str | None = None,
-    response: Response | Sequence[Response] = Response(),  # noqa: B008 (a frozen record)
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
-    tied: Mapping[str, str] | None = None,
-    loss: str = "linear",
-    jpeg: str = "keep",
-    sampling: str = "area",
-    solver: str = "lm",
-    max_steps: int | None = None,
+    free: Any = None,
+    response: Any = Response(),  # noqa: B008 (a frozen record)
+    bounds: Any = None,
+    priors: Any = None,
+    tied: Any = None,
+    loss: Any = "linear",
+    jpeg: Any = "keep",
+    sampling: Any = "area",
+    solver: Any = "lm",
+    max_steps: Any = None,
 ) -> FitResult | TracedFit:
     """Fit the look of layers to a photo, or to several photos, by least squares in linear light.
 
@@ -189,55 +192,41 @@ def fit(
         least squares, in JAX's precision; it is differentiable by all three.
 
     Raises:
-        InputError: sizes differ, wrong array type or shape, unknown names, contradictory bounds, a
-            prior without width, a circle of ties.
+        InputError: an argument of the wrong kind (a path, a scene …), traced layers, sizes that
+            differ, wrong array type or shape, unknown names, contradictory bounds, a prior without
+            width, a circle of ties.
     """
+    _check_kinds(photo, layers, look, response, max_steps)
+    bounds = pairs("bounds", "(lower, upper)", bounds)
+    priors = pairs("priors", "(mean, standard deviation)", priors)
+    tied = links(tied)
     if is_traced(photo, look, response):
         return _fit_traced(
             photo, layers, look, free, response, bounds, priors, tied, loss, sampling, solver
         )
-    bound_programs()
-    photos, all_layers = _pairs(photo, layers)
-    responses = _responses(response, len(photos))
-    parameters = declare(look, responses, free=free, bounds=bounds, priors=priors, tied=tied)
-    loss_name, handling, sampled = check_loss(loss), check_jpeg(jpeg), check_sampling(sampling)
-    make_solver(solver)
-    steps = MAX_STEPS.get(solver, 256) if max_steps is None else max_steps
-    named = free is not None
-    task = _Task(
-        photos, all_layers, look, parameters, loss_name, handling, sampled, solver, steps, named
-    )
-
-    times = [perf_counter()]
-    pixels = [choose_pixels(p, la, sampled) for p, la in zip(photos, all_layers, strict=True)]
-    unit = float(all_layers[0].width_unit)
-    columns = tuple(
-        take_columns(p, la, px.used, unit)
-        for p, la, px in zip(photos, all_layers, pixels, strict=True)
-    )
-    asked, left_out = _leave_out(task, columns)
-    left_out = [LeftOut(*remark) for px in pixels for remark in px.remarks] + left_out
-    why_not = _no_data(task, pixels, columns, asked)
-    if why_not:
-        return _without_data(why_not, task, pixels, columns, left_out)
-    problem = _problem(task, columns)
-    columns = problem.columns
-    times.append(perf_counter())
-    problem, end = _rounds(task, problem, asked)
-    if problem.count > LARGE:
-        give_back()  # what compiling left behind
-    times.append(perf_counter())
-    result = _judge(task, problem, end, pixels, left_out)
-    airless = _airless(task, pixels, columns, result)
-    if airless:
-        warnings = result.warnings
-        result = _without_data(airless, task, pixels, columns, left_out)
-        message = " ".join([result.message, *warnings])
-        result = replace(result, warnings=warnings, message=message)
-    times.append(perf_counter())
-    names = ("reduce", "solve", "errors")
-    spans = zip(names, pairwise(times), strict=True)
-    return replace(result, seconds={name: after - before for name, (before, after) in spans})
+    with float64():
+        bound_programs()
+        photos, all_layers = _pairs(photo, layers)
+        responses = _responses(response, len(photos))
+        parameters = declare(look, responses, free=free, bounds=bounds, priors=priors, tied=tied)
+        loss_name, handling, sampled = check_loss(loss), check_jpeg(jpeg), check_sampling(sampling)
+        make_solver(solver)
+        steps = MAX_STEPS.get(solver, 256) if max_steps is None else max_steps
+        named = free is not None
+        return _fit(
+            _Task(
+                photos,
+                all_layers,
+                look,
+                parameters,
+                loss_name,
+                handling,
+                sampled,
+                solver,
+                steps,
+                named,
+            )
+        )
 
 
 def _fit_traced(
@@ -260,8 +249,6 @@ def _fit_traced(
             "fit: under jit, vmap or grad it takes one array as photo, loss='linear' and no "
             "priors; call it outside of them for more"
         )
-    if is_traced(layers):
-        raise InputError("fit: the layers are traced; make them outside of jit, vmap or grad")
     layers = jax.tree.map(np.asarray, layers)  # inside jit, JAX's operations on them would trace
     known = concrete(look, response)
     parameters = declare(known[0], [known[1]], free=free, bounds=bounds, tied=tied)
@@ -290,6 +277,40 @@ class _Task:
     @property
     def sizes(self) -> list[tuple[int, int]]:
         return [size_of(photo) for photo in self.photos]
+
+
+def _fit(task: _Task) -> FitResult:
+    """The work, once it is known what was asked."""
+    times = [perf_counter()]
+    seen = list(zip(task.photos, task.layers, strict=True))
+    pixels = [choose_pixels(p, la, task.sampling) for p, la in seen]
+    unit = float(task.layers[0].width_unit)
+    columns = tuple(
+        take_columns(p, la, px.used, unit) for (p, la), px in zip(seen, pixels, strict=True)
+    )
+    asked, left_out = _leave_out(task, columns)
+    left_out = [LeftOut(*remark) for px in pixels for remark in px.remarks] + left_out
+    why_not = _no_data(task, pixels, columns, asked)
+    if why_not:
+        return _without_data(why_not, task, pixels, columns, left_out)
+    problem = _problem(task, columns)
+    columns = problem.columns
+    times.append(perf_counter())
+    problem, end = _rounds(task, problem, asked)
+    if problem.count > LARGE:
+        give_back()  # what compiling left behind
+    times.append(perf_counter())
+    result = _judge(task, problem, end, pixels, left_out)
+    airless = _airless(task, pixels, columns, result)
+    if airless:
+        warnings = result.warnings
+        result = _without_data(airless, task, pixels, columns, left_out)
+        message = " ".join([result.message, *warnings])
+        result = replace(result, warnings=warnings, message=message)
+    times.append(perf_counter())
+    names = ("reduce", "solve", "errors")
+    spans = zip(names, pairwise(times), strict=True)
+    return replace(result, seconds={name: after - before for name, (before, after) in spans})
 
 
 @dataclass(frozen=True)
@@ -345,7 +366,7 @@ def _believed(residual: Float[np.ndarray, "n 3"], loss: Loss) -> Float[np.ndarra
         return np.broadcast_to(1.0, residual.shape)
     found = np.empty_like(residual)
     piece = np.zeros((_CHUNK, 3))  # of one size, so that JAX compiles once
-    with jax.enable_x64(True):
+    with float64():
         for start in range(0, len(residual), _CHUNK):
             part = np.nan_to_num(residual[start : start + _CHUNK])
             piece[: len(part)] = part
@@ -356,6 +377,41 @@ def _believed(residual: Float[np.ndarray, "n 3"], loss: Loss) -> Float[np.ndarra
 @program
 def _belief(residual: Float[AnyArray, "n 3"], loss: Loss) -> Float[jax.Array, "n 3"]:
     return weigh(jnp.asarray(residual), None, loss)[2]
+
+
+def _check_kinds(photo: Any, layers: Any, look: Any, response: Any, max_steps: Any) -> None:
+    """Slips that Python would otherwise take for something else: a path for a row of letters."""
+    for one in photo if isinstance(photo, list | tuple) else (photo,):
+        if isinstance(one, str | PathLike):
+            raise InputError(
+                f"photo: {str(one)!r} is a path, no picture; give load_photo({str(one)!r})"
+            )
+        if not isinstance(one, Photo | np.ndarray | jax.Array):
+            raise InputError(
+                f"photo: is of type {type(one).__name__}; give what load_photo returns, or linear "
+                "light as an array [height, width, 3] of floats; of several photos a list of these"
+            )
+    for one in layers if isinstance(layers, list | tuple) else (layers,):
+        if isinstance(one, Scene):
+            raise InputError(
+                "layers: is a Scene; give analytic_layers(scene) or render_gl.render(scene)"
+            )
+        if not isinstance(one, Layers):
+            raise InputError(
+                f"layers: is of type {type(one).__name__}; give Layers, one for each photo, from "
+                "analytic_layers, render_gl.render or render_gl.read_layers"
+            )
+    if is_traced(layers):
+        raise InputError("fit: the layers are traced; make them outside of jit, vmap or grad")
+    if not isinstance(look, Look):
+        raise InputError(f"look: is of type {type(look).__name__}; give a Look")
+    for one in response if isinstance(response, list | tuple) else (response,):
+        if not isinstance(one, Response):
+            raise InputError(
+                f"response: is of type {type(one).__name__}; give a Response, or one for each photo"
+            )
+    if max_steps is not None and not (isinstance(max_steps, int) and max_steps >= 1):
+        raise InputError(f"max_steps: is {max_steps!r}; give a whole number, 1 or more, or None")
 
 
 def _pairs(
@@ -409,7 +465,7 @@ def _rounds(task: _Task, problem: Problem, asked: tuple[Parameter, ...]) -> tupl
         if number > 1 and abs(found - noise) <= _SAME_NOISE * noise:
             break
         noise = found
-        with jax.enable_x64(True):
+        with float64():
             priced = Loss(losses.pop() if losses else task.loss, jnp.asarray(noise))
         prior = _prior(asked, noise, len(start))
         problem = problem.with_model(Model(priced, prior, problem.model.linear))
@@ -459,7 +515,7 @@ def _prior(asked: Sequence[Parameter], noise: float, size: int) -> Prior | None:
     for p in asked:
         if p.prior is not None:
             mean[p.entries[0]], weight[p.entries[0]] = p.prior.mean, (noise / p.prior.sigma) ** 2
-    with jax.enable_x64(True):
+    with float64():
         return Prior(jnp.asarray(mean), jnp.asarray(weight)) if weight.any() else None
 
 

@@ -18,8 +18,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from model_jax import InputError
 from model_jax._shapes import Scalar
+
+from ._parameters import one_of
 
 LossName = Literal["linear", "huber", "soft_l1", "cauchy"]
 LOSSES: tuple[LossName, ...] = get_args(LossName)
@@ -53,11 +54,9 @@ class Loss(eqx.Module):
         return self.noise * TUNING.get(self.name, 1.0)
 
 
-def check_loss(name: str) -> LossName:
+def check_loss(name: object) -> LossName:
     """The name, if it is one of `LOSSES`; else an `InputError`."""
-    if name not in LOSSES:
-        raise InputError(f"loss: {name!r} is not known; choose from {list(LOSSES)}")
-    return name
+    return one_of("loss", name, LOSSES)
 
 
 def weigh(

@@ -74,7 +74,7 @@ class Parameter:
 _Name = TypeVar("_Name", bound=str)
 
 
-def one_of(what: str, name: str, known: tuple[_Name, ...]) -> _Name:
+def one_of(what: str, name: object, known: tuple[_Name, ...]) -> _Name:
     """The name, if it is one of those that are known.
 
     Raises:
@@ -86,11 +86,48 @@ def one_of(what: str, name: str, known: tuple[_Name, ...]) -> _Name:
     raise InputError(f"{what}: {name!r} is unknown; choose from {list(known)}")
 
 
+def pairs(what: str, form: str, given: Any) -> dict[str, tuple[float, float]]:
+    """Bounds or priors, once they are what `declare` takes: name → two numbers; {} for None.
+
+    Raises:
+        InputError: anything else, with the `form` to give.
+    """
+    found = {}
+    for name, value in _items(what, f"a dict of name → {form}", given):
+        try:
+            if isinstance(value, str):
+                raise TypeError
+            first, second = map(float, value)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(
+                f"{what}: {name} has {value!r:.60}; give two numbers, {form}"
+            ) from None
+        found[name] = (first, second)
+    return found
+
+
+def links(given: Any) -> dict[str, str]:
+    """Ties, once they are name → name; {} for None. Raises `InputError` for anything else."""
+    found = dict(_items("tied", "a dict of name → name", given))
+    for name, other in found.items():
+        if not isinstance(other, str):
+            raise InputError(f"tied: {name} is tied to {other!r:.60}; give the name it shall equal")
+    return found
+
+
+def _items(what: str, form: str, given: Any) -> list[tuple[str, Any]]:
+    if given is None:
+        return []
+    if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
+        raise InputError(f"{what}: is {given!r:.60}; give {form}")
+    return list(given.items())
+
+
 def declare(
     look: Look,
     responses: Sequence[Response],
     *,
-    free: Iterable[str] | str | None = None,
+    free: Any = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     priors: Mapping[str, tuple[float, float]] | None = None,
     tied: Mapping[str, str] | None = None,
@@ -109,6 +146,8 @@ def declare(
     """
     parameters = {p.name: p for p in _unchanged(look, responses)}
     names = default_free(len(responses)) if free is None else free
+    if not isinstance(names, Iterable):
+        raise InputError(f"free: is {names!r}; give names, such as {_choices(parameters)[:2]}")
     for name in _expand("free", names, parameters):
         parameters[name] = replace(parameters[name], role="free")
     for key, (lower, upper) in (bounds or {}).items():
@@ -316,7 +355,7 @@ def _unchanged(look: Look, responses: Sequence[Response]) -> list[Parameter]:
 
 
 def _expand(
-    what: str, names: Iterable[str] | str, parameters: Mapping[str, Parameter]
+    what: str, names: Iterable[Any] | str, parameters: Mapping[str, Parameter]
 ) -> list[str]:
     """Full names: a family stands for all its members."""
     found: list[str] = []

@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int, Int8, UInt
 from model_jax import InputError, Layers, layer_widths
 from model_jax._shapes import AnyArray
 
+from ._compile import float64
 from ._parameters import one_of
 from ._photo import REASONS, Photo
 from ._stream import TILE, Samples, capacity
@@ -141,7 +142,7 @@ _ROUNDINGS = 4
 """Of depths, up to which two are one."""
 
 
-def check_sampling(name: str) -> Sampling:
+def check_sampling(name: object) -> Sampling:
     """The name, if it is one; else an `InputError`."""
     return one_of("sampling", name, _SAMPLINGS)
 
@@ -396,7 +397,7 @@ def relit(samples: Samples, columns: Sequence[Columns]) -> Samples:
     starts = _first_tiles(columns, tile)
     light = _fill([c.light for c in columns], starts, room, tile)
     clipped = _fill([c.clipped for c in columns], starts, room, tile)
-    with jax.enable_x64(True):
+    with float64():
         light, clipped = jax.device_put((light, clipped), may_alias=True)
     return eqx.tree_at(
         lambda s: (s.light, s.clipped), samples, (light, clipped), is_leaf=lambda x: x is None
@@ -442,7 +443,7 @@ def share_widths(columns: Sequence[Columns], samples: Samples) -> tuple[Columns,
 
 def on_device(samples: Samples) -> Samples:
     """Samples as JAX arrays, float64; on a CPU without a copy, so leave the NumPy ones alone."""
-    with jax.enable_x64(True):
+    with float64():
         moved: Samples = jax.device_put(samples, may_alias=True)
     return moved
 
@@ -506,7 +507,7 @@ def _widths(
         return row
 
     shadows = [s for s in (layers.shadow_front, layers.shadow_back) if s is not None]
-    with jax.enable_x64(True):
+    with float64():
         for start in range(0, index.size, _CHUNK):
             end = min(start + _CHUNK, index.size)
             chosen = index[start:end]

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._closed_form import least_square_sum
+from ._compile import float64
 from ._flat import Flat, find_flat
 from ._parameters import (
     Entries,
@@ -87,7 +88,7 @@ class Problem:
 
     def gram(self, vector: Entries, along: Float[np.ndarray, "e p"]) -> Float[np.ndarray, "q q"]:
         """The exact pass over all samples."""
-        with jax.enable_x64(True):
+        with float64():
             return np.asarray(
                 exact_gram(jnp.asarray(vector), jnp.asarray(along), self.samples, self.model)
             )
@@ -123,7 +124,7 @@ def _largest(values: np.ndarray) -> float:
 
 
 def _few(columns: tuple[Columns, ...], samples: Samples, model: Model) -> Samples:
-    with jax.enable_x64(True):
+    with float64():
         if model.loss.name == "linear" and samples.clipped is None and model.linear:
             return moments(samples)
         if model.loss.name == "linear" and samples.surface is None:
@@ -261,7 +262,7 @@ def _descend(
     """The solver's descent, on as few pseudo-pixels as serve."""
     if not directions(free, problem.parameters)[0].shape[1]:
         return Descent(held, True, 0, ())
-    with jax.enable_x64(True):
+    with float64():
         samples = problem.few
         if candidates is None:
             candidates = starts(samples, held, free, problem.parameters)
@@ -487,7 +488,7 @@ def _second_opinion(
 
 def _few_of_plain(problem: Problem) -> Samples:
     """Moments of a problem that was solved on all its samples."""
-    with jax.enable_x64(True):
+    with float64():
         return moments(problem.samples)
 
 

@@ -17,12 +17,11 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Float
 
-from model_jax import InputError
 from model_jax._shapes import AnyArray
 
 from ._bijections import to_tints, to_value
-from ._compile import program
-from ._parameters import TINT, Chart, Entries
+from ._compile import float64, program
+from ._parameters import TINT, Chart, Entries, one_of
 from ._stream import Model, Samples, compressed, gram, tile_at
 
 Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
@@ -109,15 +108,14 @@ class Pass(eqx.Module):
         return jnp.where(jnp.isfinite(found).all(), found, jnp.inf)
 
 
-def make_solver(name: str, tolerance: float = TOLERANCE) -> Solver:
+def make_solver(name: object, tolerance: float = TOLERANCE) -> Solver:
     """An optimistix solver by its name.
 
     Raises:
         InputError: a name that is not in the list.
     """
-    if name not in _SOLVERS:
-        raise InputError(f"solver: {name!r} is not known; choose from {list(_SOLVERS)}")
-    solver: Solver = _SOLVERS[name](rtol=tolerance, atol=tolerance)
+    known = one_of("solver", name, tuple(_SOLVERS))
+    solver: Solver = _SOLVERS[known](rtol=tolerance, atol=tolerance)
     return solver
 
 
@@ -126,7 +124,7 @@ def descend(
 ) -> Descent:
     """The best vector that a solver finds from the chart's start; never worse than the start."""
     p = len(chart.start)
-    with jax.enable_x64(True):
+    with float64():
         atlas = Atlas(
             base=jnp.asarray(chart.base),
             matrix=jnp.asarray(chart.matrix),

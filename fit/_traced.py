@@ -103,7 +103,8 @@ def fit_traced(
     along, _ = directions(free, parameters)
     if not layers.has_shadow and any(p.family == "shadow" for p in free):
         raise InputError("free: the layers hold no shadow; leave shadow out of free")
-    dtype = photo.dtype
+    dtype = jax.dtypes.canonicalize_dtype(float)
+    photo = jnp.asarray(photo, dtype)
     index = np.flatnonzero(used)
     samples = _samples(photo, layers, index)
     linear = all(p.value == 1 and p.role == "fixed" for p in parameters if p.family == "gamma")

@@ -29,7 +29,7 @@ from jaxtyping import Float
 
 from model_jax._shapes import AnyArray
 
-from ._compile import program
+from ._compile import float64, program
 from ._loss import weigh
 from ._parameters import Entries
 from ._pixels import Columns
@@ -264,7 +264,7 @@ def _by_photo(
     found = [np.empty_like(c.light) for c in columns]
     starts = [0] * len(columns)
     count, photo = np.asarray(samples.count), np.asarray(samples.photo)
-    with jax.enable_x64(True):
+    with float64():
         for filled, numbers in _groups(samples):
             values = np.asarray(of_tiles(numbers))
             for k in range(filled):
@@ -330,7 +330,7 @@ def _block_sums(
     starts = [0] * len(blocks)
     count, photo = np.asarray(samples.count), np.asarray(samples.photo)
     hessian = np.zeros((p, p))
-    with jax.enable_x64(True):
+    with float64():
         for filled, tiles in _groups(samples):
             found, second = map(np.asarray, _tile_scores(vector, along, samples, model, tiles))
             hessian += second[:filled].sum(axis=0)
@@ -395,7 +395,7 @@ def influences(
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Photo and influence [t, 3, n] of each tile; `along` is directions × H⁻¹ × what is asked."""
     count, photo = np.asarray(samples.count), np.asarray(samples.photo)
-    with jax.enable_x64(True):
+    with float64():
         for filled, numbers in _groups(samples):
             found = np.asarray(_tile_influence(vector, along, samples, model, numbers))
             for k in range(filled):

@@ -1,10 +1,16 @@
-"""Our compiler options are a shorter wait where XLA knows them, and nothing else."""
+"""Compiler options are a shorter wait where XLA knows them; a caller's settings are no matter."""
+
+import os
+import subprocess
+import sys
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from fit import _compile
+
+from .looks import TRUTH
 
 
 def test_a_program_computes_what_it_is_made_of() -> None:
@@ -36,3 +42,28 @@ def test_importing_starts_no_device(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not asked
     assert float(sine(jnp.float32(0))) == 0
     assert asked
+
+
+@pytest.mark.parametrize("variable", ["JAX_ENABLE_X64", "JAX_DEBUG_NANS"])
+@pytest.mark.parametrize("traced", [False, True])
+def test_settings_of_jax_are_no_matter(variable: str, traced: bool) -> None:
+    """In processes of their own, as a user sets them; a float32 photo with noise."""
+    program = f"""
+import jax, numpy as np
+from fit import fit
+from model_jax import analytic_layers
+from tests.fit.looks import START, TRUTH, picture, scene
+layers = analytic_layers(scene())
+clean = picture(layers, TRUTH)
+photo = np.float32(clean + np.random.default_rng(0).normal(scale=0.02, size=clean.shape))
+fitted = jax.jit(lambda p: fit(p, layers, START).look) if {traced} else (
+    lambda p: fit(p, layers, START, sampling="point").look)
+print(float(fitted(photo).brightness))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        check=False, capture_output=True, text=True, timeout=300,
+        env=os.environ | {variable: "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) == pytest.approx(TRUTH.brightness, abs=0.02)

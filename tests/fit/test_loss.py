@@ -124,5 +124,5 @@ def test_measured_samples_are_not_touched_by_clipped_ones(name: str) -> None:
 
 def test_losses_by_name() -> None:
     assert [check_loss(name) for name in LOSSES] == list(LOSSES)
-    with pytest.raises(InputError, match=r"'tukey' is not known; choose from \['linear'"):
+    with pytest.raises(InputError, match=r"'tukey' is unknown; choose from \['linear'"):
         check_loss("tukey")

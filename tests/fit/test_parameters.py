@@ -208,8 +208,8 @@ BAD = {
         r"tint.g has a prior of its own; give it to tint.r",
     ),
     "nothing free": ({"free": ()}, r"nothing to fit; choose"),
-    "solver": ({"solver": "newton"}, r"'newton' is not known; choose"),
-    "loss": ({"loss": "l1"}, r"'l1' is not known; choose"),
+    "solver": ({"solver": "newton"}, r"'newton' is unknown; choose"),
+    "loss": ({"loss": "l1"}, r"'l1' is unknown; choose"),
 }
 
 
