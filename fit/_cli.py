@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 import render_gl
-from model_jax import AirlightError, InputError, Layers, Look, Scene, Srgb, composite
+from model_jax import AirlightError, Encoding, InputError, Layers, Look, Scene, Srgb, composite
 
 from . import _assignments as assignments
 from ._compile import float64
@@ -132,14 +132,18 @@ def fit(
         str | None, typer.Option(metavar="LAYERS.exr", help="Layers of another renderer.")
     ] = None,
     near: Annotated[
-        float | None, typer.Option(help="With --layers: near plane of window depths.")
+        float | None, typer.Option(help="With --layers: near plane of coded depths.")
     ] = None,
     far: Annotated[
-        float | None, typer.Option(help="With --layers: far plane of window depths.")
+        float | None, typer.Option(help="With --layers: far plane of coded depths, or inf.")
     ] = None,
-    is_reversed: Annotated[
-        bool, typer.Option("--reversed", help="With --layers: the near plane is at depth 1.")
-    ] = False,
+    encoding: Annotated[
+        Encoding | None,
+        typer.Option(help="With --layers: how its depths are coded, if its header does not say."),
+    ] = None,
+    constant: Annotated[
+        float, typer.Option(help="With log depths: C of log(C z + 1) / log(C far + 1).")
+    ] = 1.0,
     source: Annotated[
         Source | None,
         typer.Option(help="Layers by OpenGL passes (the default), or by exact intersection."),
@@ -198,10 +202,12 @@ def fit(
     has an exposure and a black level of its own instead of the background.
     """
     _check_paths(paths, layers)
-    if layers is None and (near is not None or far is not None or is_reversed):
+    if layers is None and any(given is not None for given in (near, far, encoding)):
         raise InputError(
-            "fit: --near, --far and --reversed go with --layers; a scene has its own clip planes"
+            "fit: --near, --far and --encoding go with --layers; a scene has its own clip planes"
         )
+    if constant != 1 and encoding != "log":
+        raise InputError(f"fit: --constant {constant:g} goes with --encoding log")
     if layers is not None and (source is not None or depth is not None):
         raise InputError("fit: --source and --depth draw a scene's layers; --layers has its own")
     job = Job(
@@ -210,7 +216,8 @@ def fit(
         layers=layers,
         near=near,
         far=far,
-        is_reversed=is_reversed,
+        encoding=encoding,
+        constant=constant,
         source=source or "raster",
         depth_format=depth or "linear",
         tone_curve=_tone_curve(tone_curve),

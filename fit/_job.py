@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float
 
 import render_gl
 from model_jax import (
+    Encoding,
     InputError,
     Layers,
     Look,
@@ -67,8 +68,10 @@ class Job:
     """Layer EXR of some renderer, for one photo."""
     near: float | None = None
     far: float | None = None
-    is_reversed: bool = False
-    """Window depths with the near plane at 1."""
+    encoding: Encoding | None = None
+    """Of the layers' depths; None: as their file says."""
+    constant: float = 1.0
+    """Of logarithmic depths."""
     source: Source = "raster"
     """Where a scene's layers come from."""
     depth_format: str = "linear"
@@ -241,7 +244,7 @@ def _layers(job: Job, view: View) -> Layers:
     if view.scene is not None:
         return make_layers(view.scene, job.source, job.depth_format)
     assert job.layers is not None
-    return render_gl.read_layers(job.layers, job.near, job.far, job.is_reversed)
+    return render_gl.read_layers(job.layers, job.near, job.far, job.encoding, job.constant)
 
 
 def _at_photo_size(scene: Scene, width: int, height: int, photo: str) -> Scene:

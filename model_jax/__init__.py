@@ -16,6 +16,7 @@ from ._combine import layer_widths as layer_widths
 from ._errors import AirlightError as AirlightError
 from ._errors import DriverError as DriverError
 from ._errors import InputError as InputError
+from ._layers import ENCODINGS as ENCODINGS
 from ._layers import DepthTextures as DepthTextures
 from ._layers import Encoding as Encoding
 from ._layers import Layers as Layers

@@ -6,7 +6,7 @@
 somebody's own renderer. What a scene does not need is absent (`None`), never zero-filled.
 """
 
-from typing import Literal
+from typing import Literal, get_args
 
 import equinox as eqx
 import jax
@@ -18,9 +18,10 @@ from ._errors import InputError
 from ._safe import is_host
 from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar, Shadows
 
-Encoding = Literal["window", "reversed", "linear"]
+Encoding = Literal["window", "reversed", "linear", "log"]
 """What a depth texture's numbers are: window depth in [0, 1] with the near plane at 0, "reversed"
-with the near plane at 1, or eye depth."""
+with the near plane at 1, eye depth, or the logarithmic depth of large worlds."""
+ENCODINGS: tuple[Encoding, ...] = get_args(Encoding)
 
 
 def _array(value: object) -> AnyArray:
@@ -107,7 +108,8 @@ class Layers(eqx.Module):
 class DepthTextures(eqx.Module):
     """What a depth-pass renderer leaves behind, before linearisation.
 
-    Eye depth of the "linear" encoding is relative to `reference`.
+    Eye depth of the "linear" encoding is relative to `reference`. `far` may be infinite in window
+    and reversed depths.
     """
 
     front: Float[AnyArray, "h w"]
@@ -118,26 +120,34 @@ class DepthTextures(eqx.Module):
     far: Scalar
     encoding: Encoding = eqx.field(static=True)
     reference: Scalar = 0.0
+    constant: Scalar = 1.0
+    """Of logarithmic depths (see `linearize_depth`)."""
 
     def linearize(self) -> Layers:
-        """`Layers` without surface, planet mask or colour (the renderer adds what it drew)."""
+        """`Layers` without surface, planet mask or colour (the renderer adds what it drew).
 
-        linear, is_reversed = self.encoding == "linear", self.encoding == "reversed"
+        Widths are divided by far − near, and by the length unit where the far plane is infinite.
+        """
+        linear = self.encoding == "linear"
 
         def depth(texture: AnyArray) -> AnyArray:
             if linear:
                 return texture
-            return linearize_depth(texture, self.near, self.far, is_reversed)
+            return linearize_depth(texture, self.near, self.far, self.encoding, self.constant)
 
         shadow_front, shadow_back = self.shadow_front, self.shadow_back
-
+        front, back = depth(self.front), depth(self.back)
+        endless = is_host(self.far) and bool(np.isinf(self.far))
+        if endless:  # pixels without air are at the far plane: no width is infinity less infinity
+            no_air = jnp.isinf(front)
+            front, back = (jnp.where(no_air, self.near, part) for part in (front, back))
         return Layers(
-            front=depth(self.front),
-            back=depth(self.back),
+            front=front,
+            back=back,
             shadow_front=None if shadow_front is None else depth(shadow_front),
             shadow_back=None if shadow_back is None else depth(shadow_back),
             reference=self.reference if linear else 0.0,
-            width_unit=self.far - self.near,
+            width_unit=1.0 if endless else self.far - self.near,
         )
 
 
@@ -145,33 +155,59 @@ def depth_constants(near: Scalar, far: Scalar, is_reversed: bool = False) -> tup
     """`a = far / (far - near)`, `b = far·near / (near - far)` of the paper's ZParam.
 
     Of a reversed window depth, `near (far - z) / (z (far - near))`, solved for z likewise:
-    `a = near / (near - far)`, `b = far·near / (far - near)`.
+    `a = near / (near - far)`, `b = far·near / (far - near)`. An infinite far plane is their limit.
     """
+    if is_host(near, far) and np.isinf(far):
+        return (0.0, near) if is_reversed else (1.0, -near)
     if is_reversed:
         return near / (near - far), far * near / (far - near)
     return far / (far - near), far * near / (near - far)
 
 
 def linearize_depth(
-    window: Float[AnyArray, "*shape"], near: Scalar, far: Scalar, is_reversed: bool = False
+    depth: Float[AnyArray, "*shape"],
+    near: Scalar,
+    far: Scalar,
+    encoding: Encoding = "window",
+    constant: Scalar = 1.0,
 ) -> Float[AnyArray, "*shape"]:
-    """Eye depth of a window depth: `z = b / (window - a)`.
+    """Eye depth of what a depth texture holds.
 
-    The paper, "Depth Buffer Linearization".
+        window, reversed   z = b / (depth - a)                        (`depth_constants`)
+        log                z = ((C·far + 1)^depth - 1) / C            with the constant C
+        linear             z = depth
+
+    The paper, "Depth Buffer Linearization"; the logarithm is that of Outerra ("Maximizing depth
+    buffer range and precision", 2012) and, with C = 1, of three.js.
 
     Args:
-        window: depth-buffer values in [0, 1], any shape; near plane = 0, far plane = 1.
-        is_reversed: near plane = 1, far plane = 0.
-        near, far: eye depths of the clip planes, 0 < near < far, any length unit.
+        depth: depth-buffer values in [0, 1], any shape; the far plane is at 1, of reversed ones at
+            0. The near plane is at the other end, but for logarithmic ones, which begin at the eye.
+        near, far: eye depths of the clip planes, 0 < near < far, any length unit; `far` may be
+            infinite for window and reversed depths. Logarithmic ones do not use `near`.
+        constant: C > 0, in one over the length unit.
 
     Returns:
-        Eye depth (distance along the camera's axis) in the unit of `near`, in `window`'s dtype. The
-        two constants are computed in float64 on the host when `near` and `far` are plain numbers.
+        Eye depth (distance along the camera's axis) in the unit of `near`, in `depth`'s dtype;
+        exactly `near` and `far` at the clip planes, and never outside of them. The constants are
+        computed in float64 on the host when `near` and `far` are plain numbers.
 
     Twin: `linearize_depth` in `combine.glsl`.
     """
-    window = jnp.asarray(window)
-    a, b = depth_constants(near, far, is_reversed)
+    depth = jnp.asarray(depth)
+    if encoding == "linear":
+        return depth
+    at_far = 0.0 if encoding == "reversed" else 1.0
+    if encoding == "log":
+        xp = np if is_host(far, constant) else jnp
+        steepness = jnp.asarray(xp.log1p(constant * far), depth.dtype)
+        found = jnp.expm1(depth * steepness) / jnp.asarray(constant, depth.dtype)
+        return jnp.where(depth == at_far, jnp.asarray(far, depth.dtype), found)
+    a, b = depth_constants(near, far, encoding == "reversed")
     if is_host(near, far):
-        a, b = jnp.asarray(a, window.dtype), jnp.asarray(b, window.dtype)
-    return b / (window - a)
+        a, b = jnp.asarray(a, depth.dtype), jnp.asarray(b, depth.dtype)
+    near, far = jnp.asarray(near, depth.dtype), jnp.asarray(far, depth.dtype)
+    divisor = depth - a
+    # a may round to the far plane's value.
+    found = jnp.clip(b / jnp.where(divisor == 0, 1, divisor), near, far)
+    return jnp.where(depth == at_far, far, jnp.where(depth == 1 - at_far, near, found))

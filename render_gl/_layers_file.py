@@ -5,10 +5,11 @@
     surface.R/G/B   planet.A   stretch.Y   width_error.Y   R G B A   optional, as layers have them
 
 Header: airlight.reference, airlight.width_unit, airlight.color, airlight.near, airlight.far,
-airlight.depth ("eye", "window" or "reversed"), airlight.scene (JSON) and airlight.scene_hash.
+airlight.depth ("eye", "window", "reversed" or "log"), airlight.scene (JSON) and
+airlight.scene_hash.
 
-Files of other renderers need `front.Z` and `back.Z` only: eye depths, or window depths with near
-and far in the header or given by the caller.
+Files of other renderers need `front.Z` and `back.Z` only: eye depths, or coded ones with near and
+far in the header or given by the caller.
 """
 
 import json
@@ -16,9 +17,10 @@ import re
 
 import numpy as np
 
-from model_jax import DepthTextures, Encoding, InputError, Layers, Scene
+from model_jax import ENCODINGS, DepthTextures, Encoding, InputError, Layers, Scene
 from model_jax._shapes import Rgba
 
+from ._encoding import check_encoding
 from ._exr import read_channels, write_channels
 from ._files import PathLike
 from ._scene_file import scene_hash, scene_record
@@ -70,16 +72,21 @@ def read_layers(
     path: PathLike,
     near: float | None = None,
     far: float | None = None,
-    is_reversed: bool = False,
+    encoding: Encoding | None = None,
+    constant: float = 1.0,
 ) -> Layers:
     """Layers from an EXR file, this project's or another renderer's.
 
     Args:
-        near, far: clip planes; given (or in the header of a file that says
-            `airlight.depth = "window"`) the depths are window depths in [0, 1].
-        is_reversed: of such depths (or `airlight.depth = "reversed"`): the near plane is at 1.
+        near, far: clip planes, which coded depths need; of a file without them in its header.
+            `far` may be `math.inf` for window and reversed depths: widths then are in scene length
+            units, not in units of far − near.
+        encoding: how depths are coded (`model_jax.Encoding`); None: as the header's
+            `airlight.depth` says, else window depths where a clip plane is given, else eye depths.
+        constant: C of logarithmic depths (`model_jax.linearize_depth`), 1 in three.js.
 
-    Raises `InputError` for unreadable files, missing channels and impossible clip planes.
+    Raises `InputError` for unreadable files, missing channels, impossible clip planes, and depths
+    that are a sphere's, as the air's are, in another encoding and not in this one.
     """
     channels, header = read_channels(path)
     for name in ("front.Z", "back.Z"):
@@ -89,14 +96,13 @@ def read_layers(
                 "a layer file needs front.Z and back.Z"
             )
     begin, end = _shadows(path, channels)
-    said = header.get("airlight.depth")
-    window = is_reversed or near is not None or far is not None or said in ("window", "reversed")
+    coding = _encoding(path, header, encoding, near is not None or far is not None)
     planes = (0.0, 1.0)  # unused by eye depths
-    encoding: Encoding = "linear"
-    if window:
-        encoding = "reversed" if is_reversed or said == "reversed" else "window"
-        planes = _clip_planes(path, header, near, far)
+    if coding != "linear":
+        planes = _clip_planes(path, header, coding, near, far)
         _check_windows(path, channels)
+    if not 0 < constant < np.inf:
+        raise InputError(f"{path}: the constant of logarithmic depths is {constant}; give one > 0")
     textures = DepthTextures(
         front=channels["front.Z"],
         back=channels["back.Z"],
@@ -104,8 +110,9 @@ def read_layers(
         shadow_back=end,
         near=planes[0],
         far=planes[1],
-        encoding=encoding,
+        encoding=coding,
         reference=_number(path, header, "airlight.reference", 0.0),
+        constant=constant,
     )
     linear = textures.linearize()
     swapped = np.sum(linear.front > linear.back)
@@ -113,8 +120,9 @@ def read_layers(
         raise InputError(
             f"{path}: front.Z lies behind back.Z in {int(swapped):,} pixels; swap the two "
             "channels, or "
-            + ("say whether the depths are reversed" if window else "the sign of the depths")
+            + ("the sign of the depths" if coding == "linear" else "say how depths are coded")
         )
+    check_encoding(path, textures)
     rgb = [f"surface.{c}" for c in "RGB"]
     surface = np.stack([channels[c] for c in rgb], axis=-1) if set(rgb) <= set(channels) else None
     color = header.get("airlight.color", (1.0, 1.0, 1.0))
@@ -130,7 +138,7 @@ def read_layers(
         color=np.array([*color, _number(path, header, "airlight.alpha", 1.0)]),
         reference=linear.reference,
         width_unit=linear.width_unit
-        if window
+        if coding != "linear"
         else _number(path, header, "airlight.width_unit", 1.0),
         stretch=channels.get("stretch.Y"),
         width_error=channels.get("width_error.Y"),
@@ -179,8 +187,26 @@ def _shadows(
     return found[0] if found else (None, None)
 
 
+def _encoding(
+    path: PathLike, header: dict[str, object], asked: Encoding | None, has_planes: bool
+) -> Encoding:
+    """The caller's encoding, else the header's, else by whether there are clip planes."""
+    said = header.get("airlight.depth", "window" if has_planes else "eye")
+    found = asked if asked is not None else "linear" if said == "eye" else said
+    for known in ENCODINGS:
+        if found == known:
+            return known
+    raise InputError(
+        f"{path}: depths coded as {found!r} are not read; use one of {', '.join(ENCODINGS)}"
+    )
+
+
 def _clip_planes(
-    path: PathLike, header: dict[str, object], near: float | None, far: float | None
+    path: PathLike,
+    header: dict[str, object],
+    encoding: Encoding,
+    near: float | None,
+    far: float | None,
 ) -> tuple[float, float]:
     """The caller's clip planes, else the header's."""
     found = [
@@ -188,11 +214,13 @@ def _clip_planes(
         for name, given in (("near", near), ("far", far))
     ]
     numbers = [float(n) for n in found if isinstance(n, int | float)]
-    if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] < np.inf:
+    if len(numbers) != 2 or not 0 < numbers[0] < numbers[1]:
         raise InputError(
-            f"{path}: window depths need clip planes 0 < near < far, not near {found[0]} and "
+            f"{path}: {encoding} depths need clip planes 0 < near < far, not near {found[0]} and "
             f"far {found[1]}; give --near and --far"
         )
+    if np.isinf(numbers[1]) and encoding == "log":
+        raise InputError(f"{path}: log depths have no infinite far plane; give its depth as --far")
     return numbers[0], numbers[1]
 
 
@@ -202,7 +230,8 @@ def _check_windows(path: PathLike, channels: dict[str, np.ndarray]) -> None:
         if np.any((values < 0) | (values > 1)):
             raise InputError(
                 f"{path}: {name} runs from {np.nanmin(values):g} to {np.nanmax(values):g}, which "
-                "are no window depths (0 to 1); leave --near and --far away if they are eye depths"
+                "are no coded depths (0 to 1); leave --near and --far away, or give --encoding "
+                "linear, if they are eye depths"
             )
 
 

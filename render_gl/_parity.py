@@ -22,12 +22,12 @@ correctly rounded e is 0; else it is the largest error found plus 1, and at most
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import DriverError, Look, Scene, combine, depth_constants
+from model_jax import DriverError, Look, Scene, combine, depth_constants, linearize_depth
 
 from ._context import on_gl
 from ._depth_format import EPS, STORAGE, DepthFormat
@@ -142,25 +142,29 @@ def measure_division(scene: Scene, depth_format: DepthFormat) -> float:
     constants = depth_constants(near, far, encoding == "reversed")
     a, b = (np.float32(number) for number in constants)
     windows = np.random.default_rng(20260101).random((PROBES, PROBES), dtype=np.float32)
-    drawn = on_gl(lambda context: _probe(context, windows, (float(a), float(b))))
+    values = {
+        "depth_constants": (float(a), float(b)),
+        "plane_depths": (near, far),
+        "clip_planes": (0.0, 1.0),
+        "windows": 0,
+    }
+    drawn = on_gl(lambda context: _probe(context, windows, values))
     if not np.all(np.isfinite(drawn)):
         raise DriverError(
             f"the driver's linearize_depth gives numbers that are not finite for near {near:g} and "
             f"far {far:g}; bring them closer together or use linear depth"
         )
-    exact = b / (windows - a)
+    exact = np.asarray(linearize_depth(windows, near, far, encoding))
     error = float(np.max(np.abs(drawn - exact) / np.spacing(np.abs(exact))))
     return 0.0 if error == 0 else min(error + 1.0, SPECIFIED_DIVISION)
 
 
-def _probe(
-    context: "moderngl.Context", windows: np.ndarray, constants: tuple[float, float]
-) -> np.ndarray:
+def _probe(context: "moderngl.Context", windows: np.ndarray, values: dict[str, Any]) -> np.ndarray:
     """Depths by the shader's own `linearize_depth`."""
     source = context.texture((PROBES, PROBES), 1, windows.tobytes(), dtype="f4")
     result = context.texture((PROBES, PROBES), 1, dtype="f4")
     shader = program("screen.vert", "probe.frag")
-    assign_uniforms(shader, {"depth_constants": constants, "windows": 0, "clip_planes": (0.0, 1.0)})
+    assign_uniforms(shader, values)
     context.framebuffer([result]).use()
     context.enable_only(0)
     source.use(0)

@@ -30,6 +30,7 @@ def uniforms_of(scene: Scene, look: Look, encoding: Encoding) -> dict[str, Any]:
         "reversed_factor": near / (far - near),
         "window_factor": far / (far - near),
         "depth_constants": depth_constants(near, far, encoding == "reversed"),
+        "plane_depths": (near, far),
         "width_unit": far - near,
         "pixel_size": float(camera.pixel_size()),
         "principal": (camera.width / 2, camera.height / 2),

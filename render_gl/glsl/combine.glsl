@@ -4,14 +4,32 @@
 // absent for none.
 
 uniform vec2 depth_constants;  // a, b of the depth linearisation; unused when LINEAR
+uniform vec2 plane_depths;     // near and far; unused when LINEAR
 uniform float width_unit;      // far - near, scene length units
 uniform float brightness;
 uniform vec3 shadow;           // shadow weight per channel
 uniform vec3 tint;             // factor per channel on the air's colour
 uniform vec4 color;            // the air's: linear rgb, and alpha
 
+#ifdef REVERSED
+#define NEARER max
+#define FARTHER min
+#define AT_NEAR 1.0
+#define AT_FAR 0.0
+bool is_nearer(float one, float other) { return one > other; }
+#else
+#define AT_NEAR 0.0
+#define AT_FAR 1.0
+#define NEARER min
+#define FARTHER max
+bool is_nearer(float one, float other) { return one < other; }
+#endif
+
 float linearize_depth(float window) {
-    return depth_constants.y / (window - depth_constants.x);
+    if (window == AT_NEAR) return plane_depths.x;
+    if (window == AT_FAR) return plane_depths.y;
+    float depth = depth_constants.y / (window - depth_constants.x);
+    return clamp(depth, plane_depths.x, plane_depths.y);
 }
 
 float eye_depth(float value) {
@@ -21,16 +39,6 @@ float eye_depth(float value) {
     return linearize_depth(value);
 #endif
 }
-
-#ifdef REVERSED
-#define NEARER max
-#define FARTHER min
-bool is_nearer(float one, float other) { return one > other; }
-#else
-#define NEARER min
-#define FARTHER max
-bool is_nearer(float one, float other) { return one < other; }
-#endif
 
 #ifdef SHADOWS
 #define DEPTHS (2 + 2 * SHADOWS)

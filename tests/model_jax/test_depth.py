@@ -4,7 +4,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from model_jax import DepthTextures, Layers, depth_constants, linearize_depth
+from model_jax import (
+    DepthTextures,
+    Encoding,
+    Layers,
+    depth_constants,
+    layer_widths,
+    linearize_depth,
+)
 
 RANGES = {
     "near": (0.5, 8.0),
@@ -18,18 +25,60 @@ def window_of(z: np.ndarray, near: float, far: float) -> np.ndarray:
     return far / (far - near) * (1 - near / z)
 
 
-@pytest.mark.parametrize(("near", "far"), RANGES.values(), ids=RANGES)
-def test_ends(near: float, far: float, dtype: np.dtype) -> None:
-    """Window 0 is the near plane and 1 the far plane.
+@pytest.mark.parametrize("ratio", [1.0001, 3.0, 1e4, 1e9, 1e15, np.inf])
+@pytest.mark.parametrize("encoding", ["window", "reversed", "log"])
+def test_the_ends_are_the_clip_planes(encoding: Encoding, ratio: float, dtype: np.dtype) -> None:
+    """Exactly, whatever the constants round to, and nothing lies beyond them; logarithmic depths
+    begin at the eye."""
+    near, far = 0.3, 0.3 * ratio
+    if encoding == "log" and far == np.inf:
+        return
+    top = np.nextafter(np.asarray(1, dtype), np.asarray(0, dtype))
+    codes = np.array([0, np.finfo(dtype).tiny, 0.5, top, 1], dtype)
+    found = np.asarray(linearize_depth(codes, near, far, encoding))
+    assert found.dtype == dtype
+    ends = found[[0, -1]] if encoding != "reversed" else found[[-1, 0]]
+    assert ends[0] == (0 if encoding == "log" else dtype.type(near))
+    assert ends[1] == dtype.type(far)
+    assert not np.isnan(found).any()
+    assert not np.signbit(found).any()
+    order = found if encoding != "reversed" else found[::-1]
+    assert np.all(np.diff(order[np.isfinite(order)]) >= 0)
 
-    At 0 only a and b are rounded. At 1 the divisor `1 - a = -near/(far-near)` holds the rounding of
-    `a ≈ 1`: half an ulp of 1, times (far-near)/near.
-    """
-    eps = float(np.finfo(dtype).eps)
-    ends = linearize_depth(np.array([0.0, 1.0], dtype), near, far)
-    assert ends.dtype == dtype
-    assert float(ends[0]) == pytest.approx(near, rel=2 * eps)
-    assert float(ends[1]) == pytest.approx(far, rel=2 * eps * (far - near) / near)
+
+@pytest.mark.parametrize("constant", [1.0, 0.001])
+def test_logarithmic_depth_inverts_its_formula(constant: float, dtype: np.dtype) -> None:
+    """Half an ulp of the code is ½ ε log(C far + 1) (C z + 1) / C of depth; the product with the
+    logarithm rounds likewise, expm1 and the quotient by an ulp or two of the result."""
+    far = 21050.0
+    z = np.geomspace(8100.0, far, 401)
+    steepness = np.log1p(constant * far)
+    codes = (np.log1p(constant * z) / steepness).astype(dtype)
+    found = np.asarray(linearize_depth(codes, 8100.0, far, "log", constant), np.float64)
+    eps = np.finfo(dtype).eps
+    bound = 1.5 * eps * steepness * (z + 1 / constant) + 4 * eps * z
+    assert np.all(np.abs(found - z) <= bound)
+
+
+@pytest.mark.parametrize("encoding", ["window", "reversed"])
+def test_an_infinite_far_plane_is_the_limit_of_far_ones(encoding: Encoding) -> None:
+    codes = np.linspace(0.01, 0.99, 50, dtype=np.float32)
+    endless = np.asarray(linearize_depth(codes, 8.0, np.inf, encoding))
+    np.testing.assert_allclose(endless, linearize_depth(codes, 8.0, 1e12, encoding), rtol=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["window", "reversed"])
+def test_textures_without_a_far_plane_have_finite_widths(encoding: Encoding) -> None:
+    """Where there is no air both depths are infinite, and their difference no number."""
+    near, z = 8.0, np.array([[10.0, 20.0, np.inf]])
+    codes = [near / depth for depth in (z, z + 2)]
+    if encoding == "window":
+        codes = [1 - code for code in codes]
+    textures = DepthTextures(*codes, None, None, near, np.inf, encoding)
+    layers = textures.linearize()
+    lit, _ = layer_widths(layers)
+    np.testing.assert_allclose(lit, [[2, 2, 0]], rtol=1e-5)
+    assert layers.width_unit == 1
 
 
 @pytest.mark.parametrize(("near", "far"), RANGES.values(), ids=RANGES)
@@ -57,7 +106,7 @@ def test_reversed_depth_keeps_its_digits(ratio: float, dtype: np.dtype) -> None:
     near, far = 0.5, 0.5 * ratio
     z = np.geomspace(near, far, 401)
     window = (near * (far - z) / (z * (far - near))).astype(dtype)
-    got = np.asarray(linearize_depth(window, near, far, is_reversed=True), np.float64)
+    got = np.asarray(linearize_depth(window, near, far, "reversed"), np.float64)
     np.testing.assert_allclose(got, z, rtol=3 * np.finfo(dtype).eps)
     assert np.all(np.diff(got) >= 0), "not monotone"
 

@@ -101,7 +101,7 @@ def test_stored_depths_come_back_within_the_error(depth_format: DepthFormat, nea
         steps = {"window16": 65535, "window24": 2**24 - 1}.get(depth_format)
         code = np.float32(b / z + a) if steps is None else np.rint((b / z + a) * steps) / steps
         stored = np.asarray(code, np.float32)
-        found = np.asarray(linearize_depth(stored, near, far, is_reversed), np.float64)
+        found = np.asarray(linearize_depth(stored, near, far, storage.encoding), np.float64)
     error = np.abs(found - z)
     bound = depth_error(case, depth_format, z - center)
     assert np.all(error <= bound)

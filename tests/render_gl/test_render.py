@@ -230,16 +230,16 @@ def test_window_depths_of_another_renderer(tmp_path: Path) -> None:
         f"{name}.Z": 1 - np.minimum(window(z), 1) for name, z in (("front", depth), ("back", back))
     }
     render_gl.write_channels(tmp_path / "reversed.exr", turned, {})
-    layers = render_gl.read_layers(tmp_path / "reversed.exr", near, far, is_reversed=True)
+    layers = render_gl.read_layers(tmp_path / "reversed.exr", near, far, "reversed")
     # Relative to the eye depth: code, constants, sum and quotient.
     np.testing.assert_allclose(layers.back, back, rtol=3 * 2**-23)
-    with pytest.raises(InputError, match="say whether the depths are reversed"):
+    with pytest.raises(InputError, match="say how depths are coded"):
         render_gl.read_layers(tmp_path / "reversed.exr", near, far)
     with pytest.raises(InputError, match="clip planes"):
         render_gl.read_layers(path, near=5.0)
     other = tmp_path / "eye.exr"
     render_gl.write_channels(other, {"front.Z": depth, "back.Z": back}, {})
-    with pytest.raises(InputError, match="no window depths"):
+    with pytest.raises(InputError, match="no coded depths"):
         render_gl.read_layers(other, near, far)
 
 
