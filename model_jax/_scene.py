@@ -136,7 +136,7 @@ class Planet(eqx.Module):
     relief: str | None = eqx.field(static=True, default=None)
     """Height map, equirectangular (-180…180°, north up); its name is the renderer's business."""
     relief_unit: Scalar = eqx.field(converter=_number, default=1.0)
-    """Height of one unit of the map (white = 1 in integer images), scene length units."""
+    """Height of one unit of the map (white = 1 in pictures of 8 or 16 bits), scene length units."""
     relief_scale: tuple[float, float] = eqx.field(static=True, default=(1.0, 1.0))
     """Exaggeration of the heights for a camera on the ground, and for one far away."""
     relief_distance: tuple[float, float] = eqx.field(static=True, default=(0.01, 2.0))

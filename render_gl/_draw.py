@@ -31,7 +31,7 @@ from model_jax._view import Aim, ShadowCone
 
 from ._context import on_gl
 from ._depth_format import STORAGE, DepthFormat, Storage
-from ._maps import load_albedo, load_relief
+from ._maps import load_albedo, relief_heights
 from ._mesh import Mesh, cone_mesh, sphere_mesh
 from ._shaders import program
 from ._uniforms import aim_uniforms, cone_uniforms, defines_of, plane_codes, uniforms_of
@@ -467,8 +467,7 @@ def _upload_maps(context: "moderngl.Context", scene: Scene) -> dict[str, Any]:
 
     maps = {}
     if scene.planet.relief is not None:
-        unit = np.float32(float(scene.planet.relief_unit) / float(scene.planet.radius))
-        heights = load_relief(scene.planet.relief) * unit
+        heights = relief_heights(scene.planet)
         rows, columns = heights.shape
         _check_size(context, scene.planet.relief, columns, rows)
         relief = context.texture((columns, rows), 1, heights.tobytes(), dtype="f4")

@@ -1,64 +1,259 @@
 """Equirectangular maps on disk: the planet's albedo and its relief, as float arrays.
 
-Both have row 0 at the north pole and column 0 at -180 degrees of longitude.
+Both have row 0 at the north pole and column 0 at -180 degrees of longitude. A file is read by what
+it contains, not by its name, and as it is stored: an EXIF orientation does not turn it.
 """
 
+import math
+import os
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from PIL import Image
+from jaxtyping import Float, Shaped
+from PIL.JpegImagePlugin import JpegImageFile
 
-from model_jax import InputError, Srgb
+from model_jax import InputError, Planet, Srgb
 
+from ._exr import MAGIC as EXR
+from ._exr import read_channels
 from ._files import check_file
+
+MAX_PIXELS = 2**28
+"""Largest map read, 32768×8192: a small damaged or hostile file can claim any size."""
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8\xff"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_NPY = b"\x93NUMPY"
 
 
 @cache
 def load_albedo(path: str) -> Float[np.ndarray, "h w 3"]:
-    """Linear reflectance in [0, 1] of an 8-bit sRGB picture, float16 (11 bits suffice for 8)."""
-    stored = _picture(path, "RGB")
-    table = np.asarray(Srgb().decode(np.arange(256) / 255.0), dtype=np.float16)
-    return table[stored]
+    """Linear reflectance in [0, 1] of an sRGB picture, float16 (relative rounding of 2^-11).
+
+    PNG, TIFF or JPEG of at most 16 bits; grey becomes three equal channels, alpha is dropped.
+    Raises `InputError` for a file that is missing, damaged or larger than `MAX_PIXELS`, for float
+    and other numbers that are no sRGB codes, and for CMYK.
+    """
+    samples, top = _read(path)
+    if top is None:
+        raise InputError(
+            f"{path}: holds {samples.dtype} numbers, which are no sRGB codes; "
+            "save the albedo as a PNG of 8 or 16 bits"
+        )
+    table = np.asarray(Srgb().decode(np.arange(top + 1) / top), dtype=np.float16)
+    return np.broadcast_to(table[samples], (*samples.shape[:2], 3))
+
+
+def relief_heights(planet: Planet) -> Float[np.ndarray, "h w"]:
+    """Heights ≥ 0 of the planet's relief, in planet radii, float32, before `relief_scale`.
+
+    Raises `InputError` as `load_relief` does, and for heights that reach the planet's radius.
+    """
+    assert planet.relief is not None
+    heights = load_relief(planet.relief)
+    unit, radius = float(planet.relief_unit), float(planet.radius)
+    row, column = _first_of_largest(heights)
+    largest = float(heights[row, column])
+    if largest * abs(unit) >= radius:
+        raise InputError(
+            f"{planet.relief}: its largest height, {largest:g} at row {row}, column {column}, is "
+            f"{largest * unit:g} with planet.relief_unit = {unit:g}, as large as planet.radius = "
+            f"{radius:g}; set planet.relief_unit to the length of the map's unit"
+        )
+    return heights * np.float32(unit / radius)
 
 
 @cache
 def load_relief(path: str) -> Float[np.ndarray, "h w"]:
-    """Heights ≥ 0, float32: a picture's grey value in [0, 1], or the numbers of an .npy file.
+    """Heights ≥ 0, float32, in units of `Planet.relief_unit`; negative ones (sea floor) become 0.
 
-    Negative heights (sea floor) become 0. Raises `InputError` for a missing or unreadable file,
-    an array that is no map and heights that are not finite.
+    Pictures of unsigned integers of at most 16 bits (PNG, JPEG, TIFF) give their codes over the
+    highest code: black is 0, white is 1. Everything else gives its numbers as they are: TIFF of
+    float, of signed or of 32-bit integers, EXR, and .npy of floats or integers of any size. RGB
+    with equal channels is grey, alpha is dropped; of a TIFF the first page counts.
+
+    Raises `InputError` for a file that is missing, damaged, of another kind or larger than
+    `MAX_PIXELS`, for an array that is no map, for colour, and for heights that are not finite.
     """
-    if Path(path).suffix == ".npy":
-        try:
-            heights = np.load(check_file(path), allow_pickle=False)
-        except (ValueError, OSError, EOFError) as error:
-            raise InputError(
-                f"{path}: not a readable .npy array ({error}); save it again"
-            ) from None
-        if heights.ndim != 2 or heights.dtype.kind not in "fiu":
-            raise InputError(
-                f"{path}: has shape {heights.shape} of {heights.dtype}; "
-                "a height map is numbers [h, w]"
-            )
-    else:
-        heights = _picture(path, "I;16") / 65535.0
-    if not np.all(np.isfinite(heights)):
-        count = int(np.sum(~np.isfinite(heights)))
-        raise InputError(f"{path}: {count} heights are not finite; fill them in")
-    return np.maximum(heights, 0).astype(np.float32)
+    samples, top = _read(path)
+    with np.errstate(over="ignore"):  # found below
+        heights = samples.astype(np.float32)
+    if top is not None:
+        heights /= np.float32(top)
+    lost = ~np.isfinite(heights)
+    if lost.any():
+        row, column, k = _first_of_largest(lost)
+        raise InputError(
+            f"{path}: {np.count_nonzero(lost)} of its heights are not finite, the first, "
+            f"{samples[row, column, k]}, at row {row}, column {column}; fill them in"
+        )
+    coloured = heights != heights[..., :1]
+    if coloured.any():
+        row, column, _ = _first_of_largest(coloured)
+        raise InputError(
+            f"{path}: is a colour picture, {samples[row, column].tolist()} at row {row}, column "
+            f"{column}; save heights as grey"
+        )
+    return np.maximum(heights[..., 0], 0)
 
 
-def _picture(path: str, mode: str) -> np.ndarray:
+def _first_of_largest(values: Shaped[np.ndarray, "..."]) -> tuple[int, ...]:
+    """Index of the largest value, or of the first that is true."""
+    return tuple(map(int, np.unravel_index(np.argmax(values), values.shape)))
+
+
+class _Stored(NamedTuple):
+    """What a file holds."""
+
+    samples: Shaped[np.ndarray, "h w c"]
+    """One channel, or three of colour."""
+    top: int | None
+    """The highest code of a picture; None where samples are numbers."""
+
+
+def _read(path: str) -> _Stored:
     file = check_file(path)
+    with open(file, "rb") as stream:
+        start = stream.read(8)
+    readers: tuple[tuple[bytes | tuple[bytes, ...], Callable[[Path], _Stored]], ...] = (
+        (_PNG, _read_png),
+        (_JPEG, _read_jpeg),
+        (_TIFF, _read_tiff),
+        (EXR, _read_exr),
+        (_NPY, _read_npy),
+    )
+    reader = next((reader for magic, reader in readers if start.startswith(magic)), None)
+    if reader is None:
+        raise InputError(
+            f"{path}: is no PNG, JPEG, TIFF, EXR or .npy file (starts with {start!r}); "
+            "save it as one of these"
+        )
     try:
-        with Image.open(file) as image:
-            image.load()
-            if mode == "RGB":
-                return np.asarray(image.convert("RGB"))
-            if image.mode.startswith("I;16"):
-                return np.asarray(image, dtype=np.float64)
-            return np.asarray(image.convert("L"), dtype=np.float64) * 257.0
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: not a readable picture ({error}); convert it to PNG") from None
+        return reader(file)
+    except InputError:
+        raise
+    except Exception as error:  # what decoders raise on damaged files is not documented
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise InputError(
+            f"{path}: damaged or cut off ({reason}); copy or export it again"
+        ) from error
+
+
+def _read_png(path: Path) -> _Stored:
+    import imagecodecs  # Pillow keeps 8 of the 16 bits of colour PNGs
+
+    data = path.read_bytes()
+    width, height = (int.from_bytes(data[k : k + 4], "big") for k in (16, 20))  # the first chunk's
+    _check_size(path, height, width)
+    samples = np.asarray(imagecodecs.png_decode(data))  # palettes looked up, 1 to 4 bits made 8
+    samples = samples.reshape(height, width, -1)
+    colours = 3 if samples.shape[-1] >= 3 else 1  # the rest is alpha
+    return _Stored(samples[..., :colours], int(np.iinfo(samples.dtype).max))
+
+
+def _read_jpeg(path: Path) -> _Stored:
+    # By its class: `Image.open` warns of sizes that real maps have.
+    with JpegImageFile(path) as image:
+        _check_size(path, image.height, image.width)
+        if image.mode not in ("L", "RGB"):
+            raise InputError(f"{path}: is {image.mode}; convert it to RGB")
+        samples = np.asarray(image)
+    return _Stored(samples.reshape(*samples.shape[:2], -1), 255)
+
+
+def _read_tiff(path: Path) -> _Stored:
+    """The first page of a TIFF."""
+    import tifffile  # a quarter of a second to import, and only here
+
+    with tifffile.TiffFile(path) as tiff:
+        page: Any = tiff.pages[0]
+        _check_size(path, page.imagelength, page.imagewidth)
+        if page.is_reduced:
+            raise InputError(f"{path}: holds a thumbnail first; export the map alone")
+        photometric = tifffile.PHOTOMETRIC(page.photometric).name
+        jpeg_colour = photometric == "YCBCR" and page.compression == tifffile.COMPRESSION.JPEG
+        if photometric not in ("RGB", "MINISBLACK", "MINISWHITE") and not jpeg_colour:
+            raise InputError(f"{path}: is a {photometric} TIFF; convert it to grey or RGB")
+        if page.dtype is None or page.dtype.kind not in "buif":
+            raise InputError(
+                f"{path}: its samples are {page.dtype or 'of a mixed kind'}; "
+                "save it with 8 or 16 bits or as float"
+            )
+        colours = 3 if photometric in ("RGB", "YCBCR") else 1
+        extra = [tifffile.EXTRASAMPLE(kind).name for kind in page.extrasamples]
+        if page.samplesperpixel != colours + len(extra) or extra not in ([], ["UNASSALPHA"]):
+            raise InputError(
+                f"{path}: has {page.samplesperpixel} samples a pixel ({photometric} and "
+                f"{extra or 'nothing'}); save one flat picture without alpha"
+            )
+        # A segment that is missing, past the end, or of no bytes would be filled in with zeros.
+        size = path.stat().st_size
+        segments = list(zip(page.dataoffsets, page.databytecounts, strict=True))
+        if len(segments) < math.prod(page.chunked) or any(
+            count == 0 or offset + count > size for offset, count in segments
+        ):
+            raise InputError(
+                f"{path}: parts of its first page are missing, or cut off after {size} bytes; "
+                "copy or export it again"
+            )
+        samples, axes = page.asarray(), page.axes
+        bits = int(page.bitspersample)
+    if sorted(axes.replace("S", "")) != ["X", "Y"]:
+        raise InputError(f"{path}: its first page has axes {axes}; save one flat picture")
+    if "S" in axes:
+        samples = np.moveaxis(samples, axes.index("S"), -1)
+    samples = samples.reshape(*samples.shape[:2], -1)[..., :colours]
+    if samples.dtype.kind not in "bu" or bits > 16:
+        return _Stored(samples, None)
+    top = 2**bits - 1
+    samples = samples.astype(np.uint16)
+    return _Stored(top - samples if photometric == "MINISWHITE" else samples, top)
+
+
+def _read_exr(path: Path) -> _Stored:
+    channels, _ = read_channels(path)
+    names = sorted({*channels} - {"A"}, reverse=True)
+    if len(names) != 1 and names != ["R", "G", "B"]:
+        raise InputError(
+            f"{path}: has the channels {sorted(channels)}; save heights as the only one"
+        )
+    _check_size(path, *channels[names[0]].shape)
+    return _Stored(np.stack([channels[name] for name in names], axis=-1), None)
+
+
+def _read_npy(path: Path) -> _Stored:
+    """An array of any version of the format; its header is believed once the file's size agrees."""
+    size = os.path.getsize(path)
+    with open(path, "rb") as stream:
+        # Version 3 differs from 2 in how names of fields are spelt, which maps do not have.
+        form = np.lib.format
+        first = form.read_magic(stream) == (1, 0)
+        read_header = form.read_array_header_1_0 if first else form.read_array_header_2_0
+        shape, by_columns, dtype = read_header(stream)
+        if len(shape) != 2 or dtype.kind not in "fiu":
+            raise InputError(
+                f"{path}: has shape {shape} of {dtype}; a height map is numbers [h, w]"
+            )
+        _check_size(path, *shape)
+        count = shape[0] * shape[1]
+        if stream.tell() + count * dtype.itemsize > size:
+            raise InputError(
+                f"{path}: claims shape {shape} of {dtype}, which cannot be in {size} bytes; "
+                "it is damaged or cut off: copy or save it again"
+            )
+        heights = np.fromfile(stream, dtype, count).reshape(shape, order="F" if by_columns else "C")
+    return _Stored(heights[..., None], None)
+
+
+def _check_size(path: Path, height: int, width: int) -> None:
+    if width < 1 or height < 1:
+        raise InputError(f"{path}: has {width}×{height} pixels; export it again")
+    if width * height > MAX_PIXELS:
+        raise InputError(
+            f"{path}: {width}×{height} pixels are more than the {MAX_PIXELS} that are read; "
+            "scale it down"
+        )

@@ -15,7 +15,7 @@ from model_jax._intersect import squared_miss_distance
 from model_jax._view import pixel_grid, pixel_slopes, ray_offsets, view_of
 
 from ._draw import Source
-from ._maps import load_relief
+from ._maps import relief_heights
 from ._mesh import Mesh, sphere_mesh
 from ._uniforms import relief_scale
 
@@ -59,14 +59,13 @@ def facet_error(mesh: Mesh, scene: Scene | None) -> float:
     or of the bare unit sphere."""
     corners = mesh.vertices[mesh.triangles]
     middle = corners.mean(axis=1)
-    relief = None if scene is None else scene.planet.relief
-    if scene is None or relief is None:
+    if scene is None or scene.planet.relief is None:
         return float(np.mean(1 - np.linalg.norm(middle, axis=1)))
-    unit = float(scene.planet.relief_unit) / float(scene.planet.radius) * relief_scale(scene)
-    heights = load_relief(relief)
-    ground = 1 + unit * heights_at(heights, mesh.vertices)
+    scale = relief_scale(scene)
+    heights = relief_heights(scene.planet)
+    ground = 1 + scale * heights_at(heights, mesh.vertices)
     drawn = np.linalg.norm((corners * ground[mesh.triangles][..., None]).mean(axis=1), axis=1)
-    true = 1 + unit * heights_at(heights, middle / np.linalg.norm(middle, axis=1, keepdims=True))
+    true = 1 + scale * heights_at(heights, middle / np.linalg.norm(middle, axis=1, keepdims=True))
     return float(np.mean(np.abs(true - drawn)))
 
 
