@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from model_jax import PARAMETERS, RESPONSE_PARAMETERS, InputError, Look, Response
 from model_jax import Parameter as Meaning
+from model_jax._errors import shown
 
 from ._bijections import from_tints, from_value, inside, mean_free
 
@@ -83,7 +84,7 @@ def one_of(what: str, name: object, known: tuple[_Name, ...]) -> _Name:
     for one in known:
         if name == one:
             return one
-    raise InputError(f"{what}: {name!r} is unknown; choose from {list(known)}")
+    raise InputError(f"{what}: {shown(name)} is unknown; choose from {list(known)}")
 
 
 def pairs(what: str, form: str, given: Any) -> dict[str, tuple[float, float]]:
@@ -100,7 +101,7 @@ def pairs(what: str, form: str, given: Any) -> dict[str, tuple[float, float]]:
             first, second = map(float, value)
         except (TypeError, ValueError, OverflowError):
             raise InputError(
-                f"{what}: {name} has {value!r:.60}; give two numbers, {form}"
+                f"{what}: {name} has {shown(value)}; give two numbers, {form}"
             ) from None
         found[name] = (first, second)
     return found
@@ -111,7 +112,7 @@ def links(given: Any) -> dict[str, str]:
     found = dict(_items("tied", "a dict of name → name", given))
     for name, other in found.items():
         if not isinstance(other, str):
-            raise InputError(f"tied: {name} is tied to {other!r:.60}; give the name it shall equal")
+            raise InputError(f"tied: {name} is tied to {shown(other)}; give the name it shall equal")
     return found
 
 
@@ -119,7 +120,7 @@ def _items(what: str, form: str, given: Any) -> list[tuple[str, Any]]:
     if given is None:
         return []
     if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
-        raise InputError(f"{what}: is {given!r:.60}; give {form}")
+        raise InputError(f"{what}: is {shown(given)}; give {form}")
     return list(given.items())
 
 
@@ -147,7 +148,7 @@ def declare(
     parameters = {p.name: p for p in _unchanged(look, responses)}
     names = default_free(len(responses)) if free is None else free
     if not isinstance(names, Iterable):
-        raise InputError(f"free: is {names!r}; give names, such as {_choices(parameters)[:2]}")
+        raise InputError(f"free: is {shown(names)}; give names, such as {_choices(parameters)[:2]}")
     for name in _expand("free", names, parameters):
         parameters[name] = replace(parameters[name], role="free")
     for key, (lower, upper) in (bounds or {}).items():
@@ -363,7 +364,7 @@ def _expand(
         members = [p.name for p in parameters.values() if name in (p.name, p.family)]
         if not members:
             raise InputError(
-                f"{what}: {name!r} is no parameter; choose from {_choices(parameters)}"
+                f"{what}: {shown(name)} is no parameter; choose from {_choices(parameters)}"
             )
         found += members
     return found
@@ -399,7 +400,7 @@ def _tie(parameters: dict[str, Parameter], tied: Mapping[str, str]) -> None:
     for name, other in tied.items():
         for known in (name, other):
             if known not in parameters:
-                raise InputError(f"tied: {known!r} is no parameter; choose from {list(parameters)}")
+                raise InputError(f"tied: {shown(known)} is no parameter; choose from {list(parameters)}")
         if parameters[name].family != parameters[other].family:
             raise InputError(
                 f"tied: {name} and {other} are different quantities; tie members of one family"

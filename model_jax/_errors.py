@@ -5,6 +5,13 @@ The command line turns them into that line and exit code 2; anything else is a b
 traceback.
 """
 
+import reprlib
+
+import numpy as np
+
+LONGEST = 80
+"""Characters of a user's value or text that a message quotes; it is cut in its middle beyond."""
+
 
 class AirlightError(Exception):
     """Base of all errors raised on purpose."""
@@ -16,3 +23,30 @@ class InputError(AirlightError, ValueError):
 
 class DriverError(AirlightError, RuntimeError):
     """The machine has no usable OpenGL driver, or the driver cannot do what was asked."""
+
+
+def shown(value: object) -> str:
+    """A value as messages quote it: its `repr`, on one line and at most `LONGEST` characters.
+
+    Never fails, whatever the value's size and depth: `repr` itself refuses whole numbers of more
+    than 4300 digits and ends in a RecursionError for deep lists.
+    """
+    if isinstance(value, np.ndarray | np.generic) and value.size <= 16:
+        value = value.tolist()
+    return cut(" ".join(_REPR.repr(value).splitlines()))
+
+
+def cut(text: str) -> str:
+    """Text of at most `LONGEST` characters, its start and its end."""
+    half = (LONGEST - 3) // 2
+    return text if len(text) <= LONGEST else f"{text[:half]}...{text[-half:]}"
+
+
+class _Repr(reprlib.Repr):
+    def repr_int(self, x: int, level: int) -> str:
+        digits = int(x.bit_length() * np.log10(2))
+        return f"a number of about {digits:,} digits" if digits > LONGEST else repr(x)
+
+
+_REPR = _Repr()
+_REPR.maxstring = _REPR.maxother = LONGEST

@@ -12,8 +12,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ._errors import InputError
-from ._shapes import AnyArray, Scalar
+from ._errors import InputError, shown
+from ._shapes import AnyArray, Scalar, converter
 
 
 @dataclass(frozen=True)
@@ -42,29 +42,24 @@ PARAMETERS: dict[str, Parameter] = {
 """Every parameter of `Look` by its field name, in the order reports show them."""
 
 
-def _leaf(value: object) -> Scalar | AnyArray:
-    if isinstance(value, jax.Array):
-        return value
-    try:
-        return np.asarray(value, dtype=np.float64)[()]
-    except (TypeError, ValueError):
-        raise InputError(f"look: {value!r} is not a number or a list of three numbers") from None
-
-
 class Look(eqx.Module):
     """Parameters of the combine; a pytree, so that losses can be differentiated by it."""
 
-    brightness: Scalar = eqx.field(converter=_leaf, default=PARAMETERS["brightness"].default)
+    brightness: Scalar = eqx.field(
+        converter=converter("look.brightness"), default=PARAMETERS["brightness"].default
+    )
     """Light per width unit of lit air, multiplying the scene's colour; ≥ 0."""
     shadow: Scalar | Float[AnyArray, "3"] = eqx.field(
-        converter=_leaf, default=PARAMETERS["shadow"].default
+        converter=converter("look.shadow"), default=PARAMETERS["shadow"].default
     )
     """Light of shadowed air as a share of lit air, one number or one per channel; ≥ 0."""
-    tint: Float[AnyArray, "3"] = eqx.field(converter=_leaf, default=(1.0, 1.0, 1.0))
+    tint: Float[AnyArray, "3"] = eqx.field(
+        converter=converter("look.tint"), default=(1.0, 1.0, 1.0)
+    )
     """Factor per channel on the scene's colour. A fit keeps its mean at 1, so that brightness and
     tint are separate numbers; the combine takes it as it is."""
     background: Scalar | Float[AnyArray, "3"] = eqx.field(
-        converter=_leaf, default=PARAMETERS["background"].default
+        converter=converter("look.background"), default=PARAMETERS["background"].default
     )
     """Light added to every pixel (sky glow, black level), one number or one per channel."""
 
@@ -72,11 +67,13 @@ class Look(eqx.Module):
         shapes: dict[str, list[tuple[int, ...]]] = {"brightness": [()], "tint": [(3,)]}
         for name, info in PARAMETERS.items():
             value = getattr(self, name)
-            if np.shape(value) not in shapes.get(name, [(), (3,)]):
-                raise InputError(f"look.{name}: {value!r} has the wrong number of entries")
+            allowed = shapes.get(name, [(), (3,)])
+            if np.shape(value) not in allowed:
+                forms = " or ".join("three numbers" if shape else "one number" for shape in allowed)
+                raise InputError(f"look.{name}: {shown(value)} must be {forms}")
             if isinstance(value, jax.core.Tracer):
                 continue
             if not np.all(np.isfinite(value)):
-                raise InputError(f"look.{name}: {value!r} must be finite")
+                raise InputError(f"look.{name}: {shown(value)} must be finite")
             if np.any(np.asarray(value) < info.lower):
-                raise InputError(f"look.{name}: {value!r} must be at least {info.lower:g}")
+                raise InputError(f"look.{name}: {shown(value)} must be at least {info.lower:g}")

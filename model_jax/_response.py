@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ._errors import InputError
+from ._errors import InputError, shown
 from ._look import Parameter
 from ._safe import safe_power
-from ._shapes import AnyArray, Scalar
+from ._shapes import AnyArray, Scalar, converter
 
 RESPONSE_PARAMETERS: dict[str, Parameter] = {
     "exposure": Parameter("factor on all light that reaches the camera", "1", 0.0, np.inf, 1.0),
@@ -27,35 +27,26 @@ RESPONSE_PARAMETERS: dict[str, Parameter] = {
 """Every parameter of `Response` by its field name."""
 
 
-def _number(value: object) -> Scalar | AnyArray:
-    if isinstance(value, jax.Array):
-        return value
-    try:
-        return np.asarray(value, dtype=np.float64)[()]
-    except (TypeError, ValueError):
-        raise InputError(f"response: {value!r} is not a number") from None
-
-
 class Response(eqx.Module):
     """Parameters of a camera's response; a pytree, so that losses can be differentiated by it."""
 
-    exposure: Scalar = eqx.field(converter=_number, default=1.0)
+    exposure: Scalar = eqx.field(converter=converter("response.exposure"), default=1.0)
     """Factor on light; > 0. Only its product with brightness can be told from one photo."""
-    gamma: Scalar = eqx.field(converter=_number, default=1.0)
+    gamma: Scalar = eqx.field(converter=converter("response.gamma"), default=1.0)
     """What is left of the tone curve after decoding; 0.1 to 10, 1 for none."""
-    black_level: Scalar = eqx.field(converter=_number, default=0.0)
+    black_level: Scalar = eqx.field(converter=converter("response.black_level"), default=0.0)
     """Recorded value without light, in units of recorded light."""
 
     def __check_init__(self) -> None:
         for name, info in RESPONSE_PARAMETERS.items():
             value = getattr(self, name)
             if np.shape(value) != ():
-                raise InputError(f"response.{name}: {value!r} must be one number")
+                raise InputError(f"response.{name}: {shown(value)} must be one number")
             if isinstance(value, jax.core.Tracer):
                 continue
             if not np.isfinite(value) or not info.lower <= value <= info.upper:
                 raise InputError(
-                    f"response.{name}: {value!r} must be a finite number"
+                    f"response.{name}: {shown(value)} must be a finite number"
                     f" from {info.lower:g} to {info.upper:g}"
                 )
 

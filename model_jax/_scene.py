@@ -9,13 +9,15 @@ tracing cannot be checked and are taken as they are.
 Files are no business of this module: `relief` and `albedo` only name what a renderer loads.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from ._errors import InputError
-from ._shapes import AnyArray, Scalar, namespace
+from ._errors import InputError, shown
+from ._shapes import AnyArray, Scalar, converter, namespace
 
 Vector = Float[AnyArray, "3"]
 
@@ -28,35 +30,35 @@ MAX_PIXELS = 2**26
 on the device and the host, 8 GB then, and beyond the allocator aborts instead of raising."""
 
 
-def _number(value: object) -> Scalar:
-    """Float64 on the host; JAX arrays and tracers stay what they are."""
-    return value if isinstance(value, jax.Array) else _host(value)[()]
+def _unit(name: str) -> Callable[[object], Scalar | AnyArray]:
+    """Converter to a unit vector; a zero or broken one passes through for the check to name."""
+    convert = converter(name)
+
+    def unit(value: object) -> Scalar | AnyArray:
+        vector = convert(value)
+        if np.shape(vector) != (3,):
+            return vector
+        if not isinstance(vector, jax.Array):
+            # By a power of two, which changes no digit: squares of 1e200 are infinite.
+            vector = np.ldexp(vector, -np.frexp(np.max(np.abs(vector)))[1])
+        xp = namespace(vector)
+        length = xp.sqrt(xp.sum(vector * vector))
+        if not _traced(length) and not (np.isfinite(length) and length > 0):
+            return vector
+        return vector / length
+
+    return unit
 
 
-def _vector(value: object) -> AnyArray:
-    return value if isinstance(value, jax.Array) else _host(value)
+def _floats(name: str) -> Callable[[object], tuple[float, ...]]:
+    """Converter to a tuple of Python's floats, which static fields need."""
+    convert = converter(name)
+    return lambda value: tuple(np.ravel(convert(value)).tolist())
 
 
-def _unit(value: object) -> AnyArray:
-    """The direction as a unit vector; a zero or broken one passes through for the check to name."""
-    vector = _vector(value)
-    xp = namespace(vector)
-    length = xp.sqrt(xp.sum(vector * vector)) if vector.shape == (3,) else None
-    if length is None or (not _traced(length) and not (np.isfinite(length) and length > 0)):
-        return vector
-    return vector / length
-
-
-def _rgba(value: object) -> AnyArray:
-    vector = _vector(value)
-    return namespace(vector).append(vector, 1.0) if vector.shape == (3,) else vector
-
-
-def _host(value: object) -> np.ndarray:
-    try:
-        return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{value!r} is not a number or a list of numbers") from None
+def _rgba(value: object) -> Scalar | AnyArray:
+    vector = converter("atmosphere.color")(value)
+    return namespace(vector).append(vector, 1.0) if np.shape(vector) == (3,) else vector
 
 
 def _traced(value: object) -> bool:
@@ -66,21 +68,21 @@ def _traced(value: object) -> bool:
 class Camera(eqx.Module):
     """A pinhole camera with square pixels; the principal point is the image's centre."""
 
-    position: Vector = eqx.field(converter=_vector)
+    position: Vector = eqx.field(converter=converter("camera.position"))
     """Centre of projection, scene length units."""
-    forward: Vector = eqx.field(converter=_unit)
+    forward: Vector = eqx.field(converter=_unit("camera.forward"))
     """Unit vector along the optical axis, into the picture."""
-    up: Vector = eqx.field(converter=_unit)
+    up: Vector = eqx.field(converter=_unit("camera.up"))
     """Any direction that is up in the picture and not parallel to `forward`."""
-    fov_y_deg: Scalar = eqx.field(converter=_number)
+    fov_y_deg: Scalar = eqx.field(converter=converter("camera.fov_y_deg"))
     """Full vertical field of view, degrees, in (0, 180)."""
     width: int = eqx.field(static=True)
     """Columns of the image."""
     height: int = eqx.field(static=True)
     """Rows of the image."""
-    near: Scalar = eqx.field(converter=_number)
+    near: Scalar = eqx.field(converter=converter("camera.near"))
     """Eye depth of the near plane, > 0."""
-    far: Scalar = eqx.field(converter=_number)
+    far: Scalar = eqx.field(converter=converter("camera.far"))
     """Eye depth of the far plane, > near."""
 
     def __check_init__(self) -> None:
@@ -91,7 +93,7 @@ class Camera(eqx.Module):
         for name in ("width", "height"):
             size = getattr(self, name)
             if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= 65536:
-                raise InputError(f"camera.{name}: {size!r} must be a whole number, 1 to 65536")
+                raise InputError(f"camera.{name}: {shown(size)} must be a whole number, 1 to 65536")
         fov = self.fov_y_deg
         if self.width * self.height > MAX_PIXELS:
             raise InputError(
@@ -131,15 +133,19 @@ class Camera(eqx.Module):
 class Planet(eqx.Module):
     """A sphere at the origin, with optional relief and surface texture."""
 
-    radius: Scalar = eqx.field(converter=_number)
+    radius: Scalar = eqx.field(converter=converter("planet.radius"))
     """Mean radius, > 0; also the radius of the shadow cone's base."""
     relief: str | None = eqx.field(static=True, default=None)
     """Height map, equirectangular (-180…180°, north up); its name is the renderer's business."""
-    relief_unit: Scalar = eqx.field(converter=_number, default=1.0)
+    relief_unit: Scalar = eqx.field(converter=converter("planet.relief_unit"), default=1.0)
     """Height of one unit of the map (white = 1 in pictures of 8 or 16 bits), scene length units."""
-    relief_scale: tuple[float, float] = eqx.field(static=True, default=(1.0, 1.0))
+    relief_scale: tuple[float, float] = eqx.field(
+        static=True, converter=_floats("planet.relief_scale"), default=(1.0, 1.0)
+    )
     """Exaggeration of the heights for a camera on the ground, and for one far away."""
-    relief_distance: tuple[float, float] = eqx.field(static=True, default=(0.01, 2.0))
+    relief_distance: tuple[float, float] = eqx.field(
+        static=True, converter=_floats("planet.relief_distance"), default=(0.01, 2.0)
+    )
     """Camera heights, in planet radii, at which the first and the second scale are reached."""
     albedo: str | None = eqx.field(static=True, default=None)
     """Surface colour, equirectangular sRGB picture; none = black planet."""
@@ -149,22 +155,27 @@ class Planet(eqx.Module):
     def __check_init__(self) -> None:
         _require("planet.radius", self.radius, self.radius > 0, "above 0")
         _require("planet.relief_unit", self.relief_unit, True, "finite")
-        for name, lowest in (("relief_scale", 0.0), ("relief_distance", 0.0)):
+        for name in ("relief_scale", "relief_distance"):
             pair = getattr(self, name)
-            if len(pair) != 2 or not all(np.isfinite(n) and n >= lowest for n in pair):
-                raise InputError(f"planet.{name}: {pair!r} must be two finite numbers, at least 0")
+            if len(pair) != 2 or not all(np.isfinite(n) and n >= 0 for n in pair):
+                raise InputError(
+                    f"planet.{name}: {shown(pair)} must be two finite numbers, at least 0"
+                )
         if not self.relief_distance[0] < self.relief_distance[1]:
             raise InputError(
-                f"planet.relief_distance: {self.relief_distance!r} must grow from near to far"
+                f"planet.relief_distance: {shown(self.relief_distance)} must grow from near to far"
             )
-        if not 20 <= self.triangles <= 20_000_000:
-            raise InputError(f"planet.triangles: {self.triangles!r} must be 20 to 20,000,000")
+        number = self.triangles
+        if not isinstance(number, int | np.integer) or not 20 <= number <= 20_000_000:
+            raise InputError(
+                f"planet.triangles: {shown(number)} must be a whole number, 20 to 20,000,000"
+            )
 
 
 class Atmosphere(eqx.Module):
     """A spherical shell of air of uniform density above the planet's mean radius."""
 
-    height: Scalar = eqx.field(converter=_number)
+    height: Scalar = eqx.field(converter=converter("atmosphere.height"))
     """Thickness of the shell, > 0, scene length units."""
     color: Float[AnyArray, "4"] = eqx.field(converter=_rgba, default=(1.0, 1.0, 1.0, 1.0))
     """Linear RGB and alpha of the air; three numbers mean alpha 1."""
@@ -174,9 +185,9 @@ class Atmosphere(eqx.Module):
 
     def __check_init__(self) -> None:
         if self.path not in ("depth", "distance"):
-            raise InputError(f"atmosphere.path: {self.path!r} must be 'depth' or 'distance'")
+            raise InputError(f"atmosphere.path: {shown(self.path)} must be 'depth' or 'distance'")
         _require("atmosphere.height", self.height, self.height > 0, "above 0")
-        if self.color.shape != (4,):
+        if np.shape(self.color) != (4,):
             raise InputError(
                 f"atmosphere.color: {_show(self.color)} must be 3 or 4 numbers (rgb or rgba)"
             )
@@ -189,9 +200,11 @@ class Atmosphere(eqx.Module):
 class Sun(eqx.Module):
     """A disc of uniform brightness at infinity."""
 
-    direction: Vector = eqx.field(converter=_unit)
+    direction: Vector = eqx.field(converter=_unit("sun.direction"))
     """Unit vector from the planet toward the sun."""
-    angular_radius_deg: Scalar = eqx.field(converter=_number, default=EARTH_SUN_ANGULAR_RADIUS_DEG)
+    angular_radius_deg: Scalar = eqx.field(
+        converter=converter("sun.angular_radius_deg"), default=EARTH_SUN_ANGULAR_RADIUS_DEG
+    )
     """Half the disc's angle, degrees, in [0, 90); 0 makes the shadow a cylinder."""
 
     def __check_init__(self) -> None:
@@ -205,9 +218,9 @@ class Sun(eqx.Module):
 class Occluder(eqx.Module):
     """Another sphere: it casts its shadow on the air, and hides in black what lies behind it."""
 
-    center: Vector = eqx.field(converter=_vector)
+    center: Vector = eqx.field(converter=converter("occluder.center"))
     """Centre, scene length units."""
-    radius: Scalar = eqx.field(converter=_number)
+    radius: Scalar = eqx.field(converter=converter("occluder.radius"))
     """Radius, > 0."""
 
     def __check_init__(self) -> None:
@@ -233,7 +246,7 @@ class Scene(eqx.Module):
             )
         if _traced(self.camera.position) or _traced(self.planet.radius):
             return
-        distance = float(np.linalg.norm(self.camera.position))
+        distance = _length(self.camera.position)
         # Ground level is no digit more exact than its coordinates.
         if distance < self.planet.radius * (1 - 1e-12):
             raise InputError(
@@ -243,7 +256,7 @@ class Scene(eqx.Module):
         for number, body in enumerate(self.occluders, 1):
             if _traced(body.center) or _traced(body.radius):
                 continue
-            distance = float(np.linalg.norm(self.camera.position - body.center))
+            distance = _length(self.camera.position, body.center)
             if distance < body.radius:
                 raise InputError(
                     f"camera.position: {_show(self.camera.position)} lies inside occluder {number} "
@@ -261,7 +274,7 @@ def _require(name: str, value: Scalar, ok: object, rule: str) -> None:
 
 
 def _require_vector(name: str, value: AnyArray) -> None:
-    if value.shape != (3,):
+    if np.shape(value) != (3,):
         raise InputError(f"{name}: {_show(value)} must be three numbers [x, y, z]")
     if not _traced(value) and not np.all(np.isfinite(value)):
         raise InputError(f"{name}: {_show(value)} must be finite")
@@ -272,5 +285,12 @@ def _require_direction(name: str, value: AnyArray) -> None:
         raise InputError(f"{name}: {_show(value)} has no length; give a direction")
 
 
+def _length(start: AnyArray, end: AnyArray | float = 0.0) -> float:
+    """Distance; infinite, without a warning, where its square is beyond the range of floats."""
+    with np.errstate(over="ignore"):
+        return float(np.linalg.norm(start - end))
+
+
 def _show(value: Scalar | AnyArray) -> str:
-    return str([float(f"{number:.6g}") for number in np.ravel(value)])
+    numbers = np.ravel(value)
+    return shown([float(f"{number:.6g}") for number in numbers[:7]])

@@ -7,12 +7,15 @@ The aliases admit NumPy and JAX arrays of any float width: the host works in flo
 device in float32 or float64 JAX, and the same functions serve both.
 """
 
+from collections.abc import Callable
 from types import ModuleType
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+
+from ._errors import InputError, shown
 
 AnyArray = jax.Array | np.ndarray
 
@@ -38,6 +41,35 @@ def namespace(*arrays: object) -> ModuleType:
     Lets host code keep float64 where JAX without x64 would silently round to float32.
     """
     return jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(arrays)) else np
+
+
+def converter(name: str) -> Callable[[object], Scalar | AnyArray]:
+    """What turns the value of the record's field `name` into float64 on the host; JAX arrays and
+    tracers stay what they are.
+
+    It raises `InputError` naming the field for what is no number or list of numbers, and for whole
+    numbers beyond the range of floats.
+    """
+
+    def convert(value: object) -> Scalar | AnyArray:
+        if isinstance(value, jax.Array):
+            return value
+        try:
+            array = np.asarray(value)
+            # NumPy would read "3" as 3 and None as nan.
+            if array.dtype.kind in "USTMmc" or any(
+                item is None or isinstance(item, str | bytes)
+                for item in (array.flat if array.dtype.kind == "O" else ())
+            ):
+                raise TypeError
+            return array.astype(np.float64)[()]
+        except OverflowError:
+            problem = "is beyond the range of numbers, ±1.8e308"
+        except (TypeError, ValueError):
+            problem = "is not a number or a list of numbers"
+        raise InputError(f"{name}: {shown(value)} {problem}; give a finite number")
+
+    return convert
 
 
 def is_traced(*arrays: object) -> bool:

@@ -9,7 +9,7 @@ from abc import abstractmethod
 
 import equinox as eqx
 
-from ._errors import InputError
+from ._errors import InputError, shown
 from ._safe import safe_power
 from ._shapes import AnyArray, Scalar, namespace
 
@@ -102,12 +102,12 @@ def parse_tone_curve(value: object) -> ToneCurve:
         numbers = {name: _positive(name, number) for name, number in value.items()}
         return Exposure(**numbers)
     raise InputError(
-        f"tone_curve: {value!r} is none of the known curves; "
+        f"tone_curve: {shown(value)} is none of the known curves; "
         'use "linear", "srgb" or { exposure = 1.0, gamma = 2.2 }'
     )
 
 
 def _positive(name: str, number: object) -> float:
     if isinstance(number, bool) or not isinstance(number, int | float) or not 0 < number < 1e30:
-        raise InputError(f"tone_curve.{name}: {number!r} must be a finite number above 0")
+        raise InputError(f"tone_curve.{name}: {shown(number)} must be a finite number above 0")
     return float(number)

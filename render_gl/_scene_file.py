@@ -9,13 +9,17 @@
     [photo]       path, tone_curve, mask
 
 Unknown keys, wrong types and impossible values are errors that name file, key and remedy. Paths are
-relative to the scene file.
+relative to the scene file. The text is UTF-8, of at most `MAX_BYTES` and `MAX_DOTS`.
 """
 
+import codecs
 import difflib
+import errno
 import hashlib
 import json
+import re
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,8 +39,16 @@ from model_jax import (
     ToneCurve,
     parse_tone_curve,
 )
+from model_jax._errors import cut, shown
+from model_jax._shapes import converter
 
 from ._files import PathLike, check_file
+
+MAX_BYTES = 2**16
+"""Largest scene file: 40 times those of the examples, or 1,700 occluders."""
+MAX_DOTS = 100
+"""Most dots on a line. tomllib's time grows with the square of a dotted key's parts: 20,000 of them
+took 16 s and 1.9 GB, and the worst file within both limits 0.9 s and 60 MB."""
 
 _NUMBER = "a number"
 _WHOLE = "a whole number"
@@ -106,18 +118,40 @@ class SceneFile:
 def load_scene(path: PathLike) -> SceneFile:
     """Read a scene file. Raises `InputError` in one line: file, key, value, remedy."""
     file = check_file(path)
+    with open(file, "rb") as stream:
+        content = stream.read(MAX_BYTES + 1)
     try:
-        document = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is no TOML file ({error}); correct it there") from None
-    try:
-        return _build(file, document)
+        return _build(file, _parse(content))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
+def _parse(content: bytes) -> dict[str, Any]:
+    """TOML as tables. Raises `InputError` for what is no TOML or would take long to read."""
+    if len(content) > MAX_BYTES:
+        raise InputError(f"is longer than {MAX_BYTES:,} bytes; is it a scene file? shorten it")
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or b"\0" in content:
+        raise InputError("is no UTF-8 text but UTF-16 or binary; save it as UTF-8")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"is no UTF-8 text ({error}); save it as UTF-8") from None
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.count(".") > MAX_DOTS:
+            raise InputError(f"line {number} has more than {MAX_DOTS} dots; split or shorten it")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"is no TOML file ({cut(str(error))}); correct it there") from None
+    except RecursionError:
+        raise InputError("has lists or tables nested too deeply; take out the brackets") from None
+    except ValueError:
+        # Python reads no more than 4300 decimal digits.
+        raise InputError("has a number of more than 4300 digits; shorten it") from None
+
+
 def _build(file: Path, document: dict[str, Any]) -> SceneFile:
-    _check_keys("", document, _TABLES)
+    _check_keys("unknown table", document, _TABLES)
     for name in _NEEDED:
         if name not in document:
             raise InputError(f"[{name}] is missing; add that table")
@@ -126,13 +160,14 @@ def _build(file: Path, document: dict[str, Any]) -> SceneFile:
         rows = table if name == "occluder" else [table]
         if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
             form = f"[[{name}]]" if name == "occluder" else f"[{name}]"
-            raise InputError(f"{name}: {table!r} must be written as a {form} table")
+            raise InputError(f"{name}: {shown(table)} must be written as a {form} table")
         for row in rows:
             _check_table(name, row)
         tables[name] = table
 
-    def beside(name: str | None) -> str | None:
-        return None if name is None else str((file.parent / name).resolve())
+    def beside(table: str, key: str) -> str | None:
+        name = tables.get(table, {}).get(key)
+        return None if name is None else _path(f"{table}.{key}", file.parent, name)
 
     scene = Scene(
         camera=_camera(tables["camera"]),
@@ -148,9 +183,9 @@ def _build(file: Path, document: dict[str, Any]) -> SceneFile:
         scene=scene,
         look=Look(**tables.get("look", {})),
         photo=PhotoSettings(
-            path=beside(photo.get("path")),
+            path=beside("photo", "path"),
             tone_curve=None if curve is None else parse_tone_curve(curve),
-            mask=beside(photo.get("mask")),
+            mask=beside("photo", "mask"),
         ),
     )
 
@@ -160,18 +195,28 @@ def _camera(table: dict[str, Any]) -> Camera:
     if ("forward" in table) == ("target" in table):
         raise InputError("camera: give either forward or target, and one of them only")
     if "target" in table:
-        target = np.asarray(table.pop("target"), dtype=float)
-        table["forward"] = target - np.asarray(table["position"], dtype=float)
-        if not np.any(table["forward"]):
-            raise InputError(f"camera.target: {target.tolist()} is the camera's own position")
+        target = table.pop("target")
+        with np.errstate(over="ignore", invalid="ignore"):
+            start, end = (
+                converter(f"camera.{name}")(value)
+                for name, value in (("position", table["position"]), ("target", target))
+            )
+            forward = end - start
+        if not np.all(np.isfinite(forward)):
+            raise InputError(
+                f"camera.target: {shown(target)} is at no finite distance from camera.position "
+                f"({shown(table['position'])}); move one of them"
+            )
+        if not np.any(forward):
+            raise InputError(
+                f"camera.target: {shown(target)} is the camera's own position; move one of them"
+            )
+        table["forward"] = forward
     return Camera(**table)
 
 
-def _planet(table: dict[str, Any], beside: Any) -> Planet:
-    table = dict(table)
-    for name in ("relief", "albedo"):
-        if name in table:
-            table[name] = beside(table[name])
+def _planet(table: dict[str, Any], beside: Callable[[str, str], str | None]) -> Planet:
+    table = dict(table) | {name: beside("planet", name) for name in ("relief", "albedo")}
     if "relief_scale" in table:
         scale = table["relief_scale"]
         table["relief_scale"] = tuple(scale) if isinstance(scale, list) else (scale, scale)
@@ -180,17 +225,33 @@ def _planet(table: dict[str, Any], beside: Any) -> Planet:
     return Planet(**table)
 
 
-def _check_keys(where: str, table: dict[str, Any], known: Any) -> None:
+def _path(key: str, folder: Path, name: str) -> str:
+    """The path of a file beside the scene file, which need not exist."""
+    if re.search(r"[\x00-\x1f\x7f-\x9f]", name):
+        raise InputError(f"{key}: {shown(name)} has control characters; rename the file")
+    try:
+        path = (folder / name).resolve()
+        path.lstat()
+    except RuntimeError:
+        raise InputError(f"{key}: {shown(name)} is a link that leads to itself; mend it") from None
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise InputError(f"{key}: {shown(name)} is too long a path; shorten it") from None
+        # Whoever reads the file says what else is wrong with it.
+    return str(path)
+
+
+def _check_keys(problem: str, table: dict[str, Any], known: Any) -> None:
     for key in table:
         if key not in known:
             close = difflib.get_close_matches(key, known, n=1)
             remedy = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
-            raise InputError(f"unknown key {where}{key}; {remedy}")
+            raise InputError(f"{problem} {shown(key)}; {remedy}")
 
 
 def _check_table(name: str, table: dict[str, Any]) -> None:
     known = _TABLES[name]
-    _check_keys(f"{name}.", table, known)
+    _check_keys(f"{name}: unknown key", table, known)
     for key, kinds in known.items():
         if key not in table:
             if kinds[0] == "!":
@@ -198,7 +259,7 @@ def _check_table(name: str, table: dict[str, Any]) -> None:
             continue
         allowed = [kind for kind in kinds if kind != "!"]
         if not any(_is(table[key], kind) for kind in allowed):
-            raise InputError(f"{name}.{key}: {table[key]!r} must be {' or '.join(allowed)}")
+            raise InputError(f"{name}.{key}: {shown(table[key])} must be {' or '.join(allowed)}")
 
 
 def _is(value: Any, kind: str) -> bool:

@@ -101,7 +101,33 @@ BAD: dict[str, tuple[Callable[[], object], str, str]] = {
     "tint negative": (lambda: Look(tint=(1.0, -1.0, 1.0)), "look.tint", "-1"),
     "background infinite": (lambda: Look(background=float("inf")), "look.background", "inf"),
     "layers rgb": (lambda: Layers(DEPTH, DEPTH, color=np.ones(3)), "layers.color", "1"),
-    "look of text": (lambda: Look(brightness="bright"), "look", "bright"),
+    "look of text": (lambda: Look(brightness="bright"), "look.brightness", "bright"),
+    "look of a digit": (lambda: Look(brightness="3"), "look.brightness", "'3'"),
+    "look of two": (lambda: Look(shadow=[1, 2]), "look.shadow", "[1.0, 2.0]"),
+    "look beyond floats": (lambda: Look(brightness=10**400), "look.brightness", "400 digits"),
+    "near beyond floats": (lambda: camera(near=10**400), "camera.near", "400 digits"),
+    "near beyond repr": (lambda: camera(near=10**5000), "camera.near", "5,000 digits"),
+    "width beyond floats": (lambda: camera(width=10**5000), "camera.width", "5,000 digits"),
+    "fov complex": (lambda: camera(fov_y_deg=1j), "camera.fov_y_deg", "1j"),
+    "no position": (lambda: camera(position=None), "camera.position", "None"),
+    "position of parts": (lambda: camera(position=(0.0, None, 1.0)), "camera.position", "None"),
+    "position of text": (lambda: camera(position=(0.0, "1", 1)), "camera.position", "'1'"),
+    "long position": (lambda: camera(position=[0] * 10**5), "camera.position", "..."),
+    "forward ragged": (lambda: camera(forward=((1.0,), 1.0)), "camera.forward", "((1.0,), 1.0)"),
+    "sun of text": (lambda: Sun(direction="x"), "sun.direction", "'x'"),
+    "occluder of text": (lambda: Occluder("x", 1.0), "occluder.center", "'x'"),
+    "color of none": (lambda: Atmosphere(1.0, None), "atmosphere.color", "None"),
+    "scale beyond floats": (
+        lambda: Planet(1.0, relief_scale=(10**400, 1)),
+        "planet.relief_scale",
+        "400 digits",
+    ),
+    "scale of none": (lambda: Planet(1.0, relief_scale=None), "planet.relief_scale", "None"),
+    "triangles beyond floats": (
+        lambda: Planet(1.0, triangles=10**400),
+        "planet.triangles",
+        "400 digits",
+    ),
 }
 
 
@@ -113,7 +139,8 @@ def test_bad_values_are_named_with_value_and_remedy(name: str) -> None:
     message = str(error.value)
     assert message.startswith(field), message
     assert value in message, message
-    assert "\n" not in message
+    assert message.isprintable()
+    assert len(message) < 300
     remedies = ("must", "give", "choose", "move", "add", "is not a number")
     assert any(word in message for word in remedies), message
 
@@ -138,6 +165,19 @@ def test_every_default_lies_within_its_bounds() -> None:
 def test_directions_become_unit_vectors() -> None:
     np.testing.assert_allclose(np.linalg.norm(Sun((3.0, 4.0, 12.0)).direction), 1, rtol=1e-15)
     np.testing.assert_array_equal(camera().forward, (0.0, 1.0, 0.0))
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e200, 1e308, 5e-324])
+def test_directions_of_any_length_become_unit_vectors(size: float) -> None:
+    np.testing.assert_array_equal(Sun((0.0, -size, 0.0)).direction, (0.0, -1.0, 0.0))
+
+
+def test_numbers_of_any_kind_are_converted() -> None:
+    for number in (10**30, np.float32(2), np.array(3), np.int64(4), True):
+        near = camera(near=number, far=1e31).near
+        assert isinstance(near, np.float64)
+        assert near == number
+    np.testing.assert_array_equal(camera(position=(0, -(10**30), 0.5)).position, (0, -1e30, 0.5))
 
 
 def test_three_colours_mean_alpha_one() -> None:

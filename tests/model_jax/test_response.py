@@ -94,7 +94,7 @@ def test_slopes(mode: object, gamma: float, x64: None) -> None:
         ({"gamma": 11.0}, r"response\.gamma"),
         ({"gamma": np.nan}, r"response\.gamma: .*finite"),
         ({"black_level": np.nan}, r"response\.black_level: .*finite"),
-        ({"exposure": "bright"}, r"response: 'bright' is not a number"),
+        ({"exposure": "bright"}, r"response\.exposure: 'bright' is not a number"),
     ],
     ids=lambda value: None if isinstance(value, str) else "_".join(map(str, value)),
 )
