@@ -1,7 +1,7 @@
 """The command line: `airlight render | fit | check | export | bench | version`.
 
 Exit codes: 0 done (and, with a warning, a fit at a bound); 1 the check failed or the fit has
-another verdict; 2 bad input, in one line on standard error with a remedy.
+another verdict; 2 bad input, in one line on standard error with a remedy; 70 a bug (`_guard`).
 """
 
 import json
@@ -24,12 +24,10 @@ from . import _assignments as assignments
 from ._compile import float64
 from ._compression import JpegHandling
 from ._export import Format, export_text, read_fit, write_export
+from ._guard import check_devices, guard
 from ._job import Job, Source, make_layers, prepare_folder, run_job, versions
 from ._pixels import Sampling
 from ._terminal import print_bench, print_check, print_fit
-
-# Typer shows the whole usage for a wrong option; its exception's text alone is one line.
-UsageError: Any = typer.BadParameter.__base__
 
 app = typer.Typer(
     add_completion=False,
@@ -59,19 +57,8 @@ def main() -> None:
     """Entry point of the console script: errors in one line, no traceback for a user's mistake."""
     if len(sys.argv) == 1:
         sys.argv.append("--help")
-    try:
-        with float64():
-            app(standalone_mode=False)
-    except (AirlightError, UsageError) as error:
-        line = str(error)
-        if isinstance(error, UsageError):
-            text = error.format_message().replace("Value error, ", "").rstrip(".")
-            line = f"{text}. See `{' '.join(['airlight', *_command()])} --help`."
-        print(f"airlight: {' '.join(line.split())}", file=sys.stderr)
-        raise SystemExit(2) from None
-    except (KeyboardInterrupt, typer.Abort):
-        print("airlight: stopped", file=sys.stderr)
-        raise SystemExit(130) from None
+    with guard(_command), float64():
+        app(standalone_mode=False)
 
 
 @app.command()
@@ -88,6 +75,7 @@ def render(
     as_json: JsonOption = False,
 ) -> None:
     """Draw a scene's layers and combined picture."""
+    check_devices()
     suffix = Path(out).suffix.lower()
     if suffix not in (".exr", ".png"):
         raise InputError(f"{out}: is neither .exr (layers and picture) nor .png (picture)")
@@ -201,6 +189,7 @@ def fit(
     The look is brightness, shadow weight, tint and background. Several photos share it, and each
     has an exposure and a black level of its own instead of the background.
     """
+    check_devices()
     _check_paths(paths, layers)
     if layers is None and any(given is not None for given in (near, far, encoding)):
         raise InputError(
@@ -260,6 +249,7 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Hold the OpenGL picture against JAX on the same layers, and the layers against exact ones."""
+    check_devices()
     file = render_gl.load_scene(scene)
     folder = prepare_folder(out if out is not None else f"{file.path.stem}-check")
     with _steps() as step:
@@ -308,6 +298,7 @@ def bench(
     as_json: JsonOption = False,
 ) -> None:
     """Measure how fast a fit is, beside SciPy and optimistix, on this machine."""
+    check_devices()
     from ._bench import run_bench  # its peer, SciPy, is an extra
 
     with _steps() as step:
@@ -325,20 +316,22 @@ def version(as_json: JsonOption = False) -> None:
         renderer = render_gl.renderer_name()
     except AirlightError as error:
         renderer = f"none ({error})"
-    facts: dict[str, Any] = versions() | {
-        "OpenGL": renderer,
-        "JAX devices": [str(device) for device in jax.devices()],
-    }
+    try:
+        check_devices()
+        devices = [str(device) for device in jax.devices()]
+    except AirlightError as error:
+        devices = [f"none ({error})"]
+    facts: dict[str, Any] = versions() | {"OpenGL": renderer, "JAX devices": devices}
     lines = [f"{name:12} {value}" for name, value in facts.items() if isinstance(value, str)]
     _say(
         as_json, facts, "\n".join([*lines, f"{'JAX devices':12} {', '.join(facts['JAX devices'])}"])
     )
 
 
-def _command() -> list[str]:
-    """The subcommand on the command line, if there is one."""
+def _command() -> str:
+    """The command line as far as its subcommand, if it has one."""
     commands = ("render", "fit", "check", "export", "bench", "version")
-    return [word for word in sys.argv[1:2] if word in commands]
+    return " ".join(["airlight", *(word for word in sys.argv[1:2] if word in commands)])
 
 
 def _check_paths(paths: list[str], layers: str | None) -> None:

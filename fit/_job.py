@@ -8,6 +8,7 @@ several: pictures are made in bands of rows, and of one photo at a time.
 """
 
 import json
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -36,6 +37,7 @@ from model_jax import (
     record,
 )
 from model_jax._shapes import AnyArray
+from render_gl._files import check_name
 
 from ._compression import check_jpeg
 from ._fit import fit
@@ -168,7 +170,7 @@ def run_job(
         _write_photo(folder, view, layers.pop(0), result, number, maps[number])
         for number, view in enumerate(views)
     ]
-    page = report_html(document, sections, job.command)
+    page = report_html(document, sections, document["command"])
     render_gl.write_whole(folder / "report.html", lambda path: _write_text(path, page))
     seconds["report"] = time.perf_counter() - started
     document["seconds"] = {name: round(value, 6) for name, value in seconds.items()}
@@ -234,9 +236,15 @@ def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> View:
         mask = mask if mask is not None else file.photo.mask
     photo = load_photo(name, curve, mask)
     if file is None:
-        return View(name, photo, None, None)
+        return View(_text(name), photo, None, None)
     height, width = photo.shape
-    return View(name, photo, _at_photo_size(file.scene, width, height, name), job.scenes[number])
+    scene = _at_photo_size(file.scene, width, height, name)
+    return View(_text(name), photo, scene, _text(job.scenes[number]))
+
+
+def _text(name: str) -> str:
+    """A file's name as documents hold it: bytes that are no text are written as \\xff."""
+    return os.fsencode(name).decode("utf-8", "backslashreplace")
 
 
 def _layers(job: Job, view: View) -> Layers:
@@ -274,13 +282,13 @@ def _document(
     return {
         "schema": 2,
         **about[0],
-        "layers": job.layers,
+        "layers": None if job.layers is None else _text(job.layers),
         "source": job.source if job.scenes else "file",
         **made,
         "photos": photos,
         "seconds": seconds,
         "versions": versions() | ({"OpenGL": render_gl.renderer_name()} if drawn else {}),
-        "command": job.command,
+        "command": _text(job.command),
     }
 
 
@@ -409,6 +417,9 @@ def _predict_band(
 
 def prepare_folder(out: str) -> Path:
     """The folder, made if need be; an unwritable one is found out before the work, not after."""
+    if not out:
+        raise InputError("-o: is empty; name a folder, or . for this one")
+    check_name(out)
     folder = Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)

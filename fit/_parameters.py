@@ -112,7 +112,9 @@ def links(given: Any) -> dict[str, str]:
     found = dict(_items("tied", "a dict of name → name", given))
     for name, other in found.items():
         if not isinstance(other, str):
-            raise InputError(f"tied: {name} is tied to {shown(other)}; give the name it shall equal")
+            raise InputError(
+                f"tied: {name} is tied to {shown(other)}; give the name it shall equal"
+            )
     return found
 
 
@@ -400,7 +402,9 @@ def _tie(parameters: dict[str, Parameter], tied: Mapping[str, str]) -> None:
     for name, other in tied.items():
         for known in (name, other):
             if known not in parameters:
-                raise InputError(f"tied: {shown(known)} is no parameter; choose from {list(parameters)}")
+                raise InputError(
+                    f"tied: {shown(known)} is no parameter; choose from {list(parameters)}"
+                )
         if parameters[name].family != parameters[other].family:
             raise InputError(
                 f"tied: {name} and {other} are different quantities; tie members of one family"

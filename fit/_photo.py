@@ -283,7 +283,7 @@ def _name_format(path: Path, start: bytes) -> str:
             continue
         except Exception:  # damaged, or claims a huge size: its kind is known all the same
             return f"is a {extension} picture, which is not read"
-    return f"is no picture (starts with {start!r})"
+    return "is no picture"
 
 
 def _read_with_pillow(path: Path) -> _Stored:

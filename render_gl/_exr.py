@@ -27,7 +27,7 @@ from jaxtyping import Float, Num
 
 from model_jax._errors import InputError
 
-from ._files import PathLike, check_file, write_whole
+from ._files import PathLike, check_file, check_name, write_whole
 
 MAGIC = b"\x76\x2f\x31\x01"
 """The first four bytes of every OpenEXR file."""
@@ -77,10 +77,11 @@ def read_channels(
     shrink (noise), but not in PIZ, DWA or B44.
     """
     file = check_file(path)
+    check_name(os.path.abspath(file))
     with open(file, "rb") as stream:
         start = stream.read(len(MAGIC))
     if start != MAGIC:
-        raise InputError(f"{path}: starts with {start!r}, so it is no OpenEXR file; name an EXR")
+        raise InputError(f"{path}: is no OpenEXR file; name an EXR")
     # `sys.path` is handed on so that the child finds the very NumPy and OpenEXR in use here; one
     # BLAS thread keeps NumPy's share of the address space small.
     surroundings = {
@@ -116,6 +117,7 @@ def write_channels(
     Raises `InputError` for channels or attributes that EXR cannot hold, and for a file that cannot
     be written.
     """
+    check_name(os.path.abspath(path))
     header = {name: _attribute(path, name, value) for name, value in attributes.items()}
     header |= {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     shapes = {np.shape(pixels) for pixels in channels.values()}

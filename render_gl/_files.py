@@ -87,6 +87,15 @@ def check_file(path: PathLike) -> Path:
     return Path(path)
 
 
+def check_name(path: PathLike) -> None:
+    """Raise `InputError` for a path that is no text, which the OpenEXR library cannot open."""
+    try:
+        os.fspath(path).encode("utf-8")
+    except UnicodeEncodeError:
+        told = os.fsencode(path).decode("utf-8", "backslashreplace")
+        raise InputError(f"{told}: is no UTF-8 text, as EXR files need; rename it") from None
+
+
 def _flush(path: Path) -> None:
     """Push a file, or a folder's list of names, to the disk."""
     descriptor = os.open(path, os.O_RDONLY)

@@ -129,8 +129,7 @@ def _read(path: str) -> _Stored:
     reader = next((reader for magic, reader in readers if start.startswith(magic)), None)
     if reader is None:
         raise InputError(
-            f"{path}: is no PNG, JPEG, TIFF, EXR or .npy file (starts with {start!r}); "
-            "save it as one of these"
+            f"{path}: is no PNG, JPEG, TIFF, EXR or .npy file; save it as one of these"
         )
     try:
         return reader(file)

@@ -37,7 +37,10 @@ def photo(layers: Layers) -> np.ndarray:
         ({"bounds": {"shadow": "01"}}, r"bounds: shadow has '01'; give two numbers"),
         ({"bounds": {"shadow": (0, 1, 2)}}, r"bounds: shadow has \(0, 1, 2\); give two"),
         ({"bounds": {"shadow": (None, 1)}}, r"bounds: shadow has \(None, 1\); give two"),
-        ({"bounds": {"shadow": (0, 10**400)}}, r"bounds: shadow has \(0, a number of about 400 digits\); give"),
+        (
+            {"bounds": {"shadow": (0, 10**400)}},
+            r"bounds: shadow has \(0, a number of about 400 digits\); give",
+        ),
         ({"bounds": [("shadow", 0, 1)]}, r"bounds: is \[\('shadow', 0, 1\)\]; give a dict"),
         ({"bounds": {3: (0, 1)}}, r"bounds: is \{3: \(0, 1\)\}; give a dict"),
         ({"priors": {"shadow": 0.2}}, r"priors: shadow has 0.2; give two numbers, \(mean, st"),

@@ -269,7 +269,7 @@ NO_RELIEF: dict[str, tuple[Callable[[Path], object], str]] = {
     },
     "zip": (
         lambda path: path.write_bytes(zipped()),
-        r"is no PNG, JPEG, TIFF, EXR or .npy file (starts with b'PK\x03\x04",
+        "is no PNG, JPEG, TIFF, EXR or .npy file; save it as one of these",
     ),
     "bitmap": (lambda path: pillow(path, BYTES, "L", "BMP"), "is no PNG, JPEG, TIFF, EXR"),
     "cut PNG": (
