@@ -1060,6 +1060,10 @@ def _warnings(result: FitResult, task: _Task) -> tuple[str, ...]:
             "Look at what is left over: where it has structure, this look cannot follow the photo."
         )
     found += _misfit_warnings(result)
+    several = len(task.photos) > 1
+    for number, photo in enumerate(task.photos, 1):
+        remarks = photo.remarks if isinstance(photo, Photo) else ()
+        found += [f"Photo {number}: {remark}" if several else remark for remark in remarks]
     structured = errors is not None and errors.correlation_px > STRUCTURED_PX
     seen = undone or result.misfits or (explained or 0) >= 1 - 1e-6
     if errors is not None and structured and not seen:

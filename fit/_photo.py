@@ -4,6 +4,7 @@
 (residuals, diagnosis) sees linear light, a mask and the size of a code step, never a file format.
 """
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +19,9 @@ from PIL.PngImagePlugin import PngImageFile
 
 from model_jax._errors import InputError
 from model_jax._tone import Linear, Srgb, ToneCurve, parse_tone_curve
+
+from ._colour import Colours, of_exr, of_jpeg, of_png, of_tiff
+from ._wording import curve_in_words
 
 PathLike = str | os.PathLike[str]
 
@@ -70,6 +74,8 @@ class Photo:
     """Whether the file is compressed as JPEG is."""
     jpeg: Jpeg | None = None
     """Of a JPEG file of a common kind."""
+    remarks: tuple[str, ...] = ()
+    """What the file says of its colours that is not used, in sentences."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -132,9 +138,9 @@ class Photo:
 def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None = None) -> Photo:
     """Read a photo: JPEG, PNG or TIFF of 8 or 16 bits, float TIFF, EXR.
 
-    `tone_curve` is a `ToneCurve` or what `parse_tone_curve` accepts; None means linear for EXR and
-    float TIFF, sRGB for integer photos (embedded colour profiles are not applied). `mask` names a
-    picture of the photo's size: white keeps a pixel, black leaves it out (any channel ≠ 0 keeps).
+    `tone_curve` is a `ToneCurve` or what `parse_tone_curve` accepts; None means what the file says
+    (`_colour`), else linear for EXR and float TIFF, sRGB for integer photos. `mask` names a picture
+     of the photo's size: white keeps a pixel, black leaves it out (any channel ≠ 0 keeps).
 
     Grey becomes three equal channels, alpha is dropped (also a mask's), palettes are looked up,
     EXIF orientation is applied to photo and mask. Photos that are black, white or NaN all over are
@@ -144,11 +150,8 @@ def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None 
     than `MAX_PIXELS` pixels, for CMYK, for an EXR without R, G, B, and for a mask of another size.
     """
     file = Path(path)
-    stored, bits, lossy, jpeg = _read(file)
-    if tone_curve is None:
-        curve: ToneCurve = Linear() if bits is None else Srgb()
-    else:
-        curve = parse_tone_curve(tone_curve)
+    stored, bits, lossy, jpeg, colours = _read(file)
+    curve, remarks = _choose_curve(tone_curve, colours, bits)
     stored = _three_channels(file, stored)
     light: np.ndarray | None = None
     half_steps: np.ndarray | None = None
@@ -170,7 +173,23 @@ def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None 
         half_steps=half_steps,
         lossy=lossy,
         jpeg=jpeg,
+        remarks=remarks,
     )
+
+
+def _choose_curve(
+    asked: object, colours: Colours, bits: int | None
+) -> tuple[ToneCurve, tuple[str, ...]]:
+    """The curve that is used, and what the file says that is not."""
+    usual: ToneCurve = Linear() if bits is None else Srgb()
+    if asked is None:
+        return colours.curve or usual, colours.remarks
+    curve, said = parse_tone_curve(asked), colours.curve
+    if said is None or said.describe() == curve.describe():
+        return curve, colours.remarks
+    told = [curve_in_words(c.describe()) for c in (said, curve)]
+    override = f"The file says {told[0]} ({colours.source}), and {told[1]} is used as asked."
+    return curve, (*colours.remarks, override)
 
 
 def _code_tables(
@@ -240,6 +259,7 @@ class _Stored(NamedTuple):
     """None for float."""
     lossy: bool
     jpeg: Jpeg | None = None
+    colours: Colours = Colours()
 
 
 def _read(path: Path, any_channels: bool = False) -> _Stored:
@@ -250,7 +270,7 @@ def _read(path: Path, any_channels: bool = False) -> _Stored:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{path}: cannot be opened ({reason}); check the path") from error
     if start.startswith(_EXR):
-        return _Stored(_read_exr(path, any_channels), None, False)
+        return _read_exr(path, any_channels)
     reader: Callable[[Path], _Stored]
     if start.startswith((_JPEG, _PNG)):
         reader = _read_with_pillow
@@ -312,7 +332,8 @@ def _read_with_pillow(path: Path) -> _Stored:
             grey = image.mode in ("1", "L", "LA")
             codes, bits = np.asarray(image.convert("L" if grey else "RGB")), 8
         jpeg = _jpeg_of(image, orientation) if isinstance(image, JpegImageFile) else None
-    return _Stored(orient(_colour_first(codes), orientation), bits, not is_png, jpeg)
+        colours = of_png(path.read_bytes()) if is_png else of_jpeg(image.info, image.getexif())
+    return _Stored(orient(_colour_first(codes), orientation), bits, not is_png, jpeg, colours)
 
 
 def _jpeg_of(image: JpegImageFile, orientation: object) -> Jpeg | None:
@@ -352,27 +373,34 @@ def _read_tiff(path: Path) -> _Stored:
             )
         # A segment past the end, or of no bytes, would be filled in with zeros.
         size = path.stat().st_size
-        segments = zip(page.dataoffsets, page.databytecounts, strict=True)
-        if any(count == 0 or offset + count > size for offset, count in segments):
-            raise InputError(f"{path}: cut off after {size} bytes; copy or export it again")
+        segments = list(zip(page.dataoffsets, page.databytecounts, strict=True))
+        if len(segments) < math.prod(page.chunked) or any(
+            count == 0 or offset + count > size for offset, count in segments
+        ):
+            raise InputError(
+                f"{path}: parts of it are missing, or cut off after {size} bytes; copy or export "
+                "it again"
+            )
         pixels = page.asarray()
         axes = page.axes
         orientation = page.tags.valueof(274, default=1)
+        colours = of_tiff({number: page.tags.valueof(number) for number in (301, 319, 34675)})
     if sorted(axes) == ["S", "X", "Y"]:
         pixels = np.moveaxis(pixels, axes.index("S"), -1)
     elif axes != "YX":
         raise InputError(f"{path}: its first page has axes {axes}; save one flat picture")
     if photometric == "MINISWHITE":
         pixels = (1 if bits is None else 2**bits - 1) - pixels
-    return _Stored(orient(_colour_first(pixels), orientation), bits, lossy)
+    pixels = orient(_colour_first(pixels), orientation)
+    return _Stored(pixels, bits, lossy, colours=colours)
 
 
-def _read_exr(path: Path, any_channels: bool) -> np.ndarray:
+def _read_exr(path: Path, any_channels: bool) -> _Stored:
     """R, G, B of an EXR, or Y of a grey one; for a mask all channels there are."""
     # Only here: the core of `fit` works without `render_gl` and OpenGL.
     from render_gl._exr import read_channels
 
-    channels, _ = read_channels(path)
+    channels, attributes = read_channels(path)
     names = list(channels) if any_channels else ["R", "G", "B"]
     if not any_channels and set(channels) & {*"RGBY"} == {"Y"}:
         names = ["Y"]
@@ -382,7 +410,8 @@ def _read_exr(path: Path, any_channels: bool) -> np.ndarray:
             "export it with these names"
         )
     _check_size(path, *channels[names[0]].shape[::-1])
-    return np.stack([channels[name] for name in names], axis=-1)
+    samples = np.stack([channels[name] for name in names], axis=-1)
+    return _Stored(samples, None, False, colours=of_exr(attributes))
 
 
 def _colour_first(pixels: np.ndarray) -> np.ndarray:

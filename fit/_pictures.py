@@ -24,6 +24,7 @@ from PIL import Image
 from model_jax import Linear, Srgb, ToneCurve
 
 from ._photo import Photo
+from ._wording import curve_in_words
 
 MAX_WIDTH = 1200
 """Pixels across a picture at most: what a wide screen shows of it enlarged."""
@@ -59,9 +60,8 @@ def display_of(photo: Float[np.ndarray, "h w 3"] | Photo, curve: ToneCurve) -> D
     """The photo's own tone curve; linear photos are shown through sRGB, which screens expect, and
     scaled when their light goes beyond 1 or stays below 0.1."""
     if not isinstance(curve, Linear):
-        described = curve.describe()
-        name = "sRGB" if described == "srgb" else f"1 − exp(−exposure · light), {described}"
-        return Display(curve, 1.0, f"tone curve {name}")
+        name = "tone curve sRGB" if isinstance(curve, Srgb) else curve_in_words(curve.describe())
+        return Display(curve, 1.0, name)
     # Every so many pixels tell as much: a million of them.
     some = photo[:: max(1, photo.shape[0] // 1000), :: max(1, photo.shape[1] // 1000)]
     finite = some[np.isfinite(some)]

@@ -147,7 +147,8 @@ def curve_in_words(described: str | Mapping[str, float]) -> str:
     if isinstance(described, str):
         return f"tone curve {described}"
     numbers = ", ".join(f"{name} {number(value)}" for name, value in described.items())
-    return f"tone curve 1 − exp(−exposure · light), {numbers}"
+    form = "1 − exp(−exposure · light)" if "exposure" in described else "light^(1/gamma)"
+    return f"tone curve {form}, {numbers}"
 
 
 def clipped_note(pixels: Mapping[str, Any]) -> str:

@@ -39,6 +39,8 @@ from ._tolerance import shadows_in_view as shadows_in_view
 from ._tolerance import width_ranges as width_ranges
 from ._tone import Exposure as Exposure
 from ._tone import Linear as Linear
+from ._tone import Power as Power
+from ._tone import Sampled as Sampled
 from ._tone import Srgb as Srgb
 from ._tone import ToneCurve as ToneCurve
 from ._tone import parse_tone_curve as parse_tone_curve

@@ -8,6 +8,8 @@ included. `parse_tone_curve` reads the form scene files use.
 from abc import abstractmethod
 
 import equinox as eqx
+import numpy as np
+from jaxtyping import Float
 
 from ._errors import InputError, shown
 from ._safe import safe_power
@@ -87,8 +89,53 @@ class Exposure(ToneCurve):
         return {"exposure": float(self.exposure), "gamma": float(self.gamma)}
 
 
+class Power(ToneCurve):
+    """`stored = linear ** (1 / gamma)`, gamma > 0, odd-symmetric below black."""
+
+    gamma: Scalar
+
+    def __check_init__(self) -> None:
+        if isinstance(self.gamma, float | int):
+            _positive("gamma", self.gamma)
+
+    def encode(self, linear: AnyArray) -> AnyArray:
+        xp = namespace(linear, self.gamma)
+        return xp.sign(linear) * safe_power(xp.abs(linear), 1 / self.gamma)
+
+    def decode(self, stored: AnyArray) -> AnyArray:
+        xp = namespace(stored, self.gamma)
+        return xp.sign(stored) * safe_power(xp.abs(stored), self.gamma)
+
+    def describe(self) -> dict[str, float]:
+        return {"gamma": float(self.gamma)}
+
+
+class Sampled(ToneCurve):
+    """A curve by the light of equally spaced stored values from 0 to 1, straight between them."""
+
+    name: str = eqx.field(static=True)
+    """What `describe` gives: such a curve cannot be written in a scene file."""
+    light: Float[np.ndarray, " n"]
+
+    def __check_init__(self) -> None:
+        if len(self.light) < 2 or not np.all(np.isfinite(self.light)):
+            raise InputError(f"tone curve {self.name}: give two finite numbers or more")
+        if np.any(np.diff(self.light) < 0) or self.light[0] == self.light[-1]:
+            raise InputError(f"tone curve {self.name}: its light must grow with what is stored")
+
+    def encode(self, linear: AnyArray) -> AnyArray:
+        return namespace(linear).interp(linear, self.light, np.linspace(0, 1, len(self.light)))
+
+    def decode(self, stored: AnyArray) -> AnyArray:
+        return namespace(stored).interp(stored, np.linspace(0, 1, len(self.light)), self.light)
+
+    def describe(self) -> str:
+        return self.name
+
+
 def parse_tone_curve(value: object) -> ToneCurve:
-    """A curve from "linear", "srgb" or a table `{exposure = 1.5, gamma = 2.2}`.
+    """A curve from "linear", "srgb" or a table: `{gamma = 2.2}` is a `Power`, and
+    `{exposure = 1.5, gamma = 2.2}` an `Exposure`.
 
     Raises `InputError` naming the value for anything else.
     """
@@ -98,12 +145,12 @@ def parse_tone_curve(value: object) -> ToneCurve:
         return Linear()
     if value == "srgb":
         return Srgb()
-    if isinstance(value, dict) and set(value) <= {"exposure", "gamma"} and "exposure" in value:
+    if isinstance(value, dict) and value and set(value) <= {"exposure", "gamma"}:
         numbers = {name: _positive(name, number) for name, number in value.items()}
-        return Exposure(**numbers)
+        return Exposure(**numbers) if "exposure" in numbers else Power(**numbers)
     raise InputError(
         f"tone_curve: {shown(value)} is none of the known curves; "
-        'use "linear", "srgb" or { exposure = 1.0, gamma = 2.2 }'
+        'use "linear", "srgb", { gamma = 2.2 } or { exposure = 1.0, gamma = 2.2 }'
     )
 
 

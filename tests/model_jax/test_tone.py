@@ -5,7 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from model_jax import Exposure, InputError, Linear, Srgb, ToneCurve, parse_tone_curve
+from model_jax import (
+    Exposure,
+    InputError,
+    Linear,
+    Power,
+    Sampled,
+    Srgb,
+    ToneCurve,
+    parse_tone_curve,
+)
 
 CURVES = {
     "linear": Linear(),
@@ -13,6 +22,7 @@ CURVES = {
     "exposure": Exposure(1.5),
     "exposure gamma 2.2": Exposure(2.0, 2.2),
     "exposure gamma 1/2": Exposure(0.7, 0.5),
+    "power": Power(2.2),
 }
 curves = pytest.mark.parametrize("curve", CURVES.values(), ids=CURVES)
 
@@ -106,7 +116,7 @@ def test_describe_is_what_parse_reads(curve: ToneCurve) -> None:
 BAD = {
     "unknown": "rec709",
     "number": 2.2,
-    "no exposure": {"gamma": 2.2},
+    "nothing": {},
     "unknown key": {"exposure": 1.0, "knee": 0.1},
     "zero": {"exposure": 0},
     "negative gamma": {"exposure": 1.0, "gamma": -1.0},
@@ -122,3 +132,22 @@ def test_bad_curves_are_named(value: object) -> None:
     with pytest.raises(InputError, match=r"^tone_curve.*(use|must)") as error:
         parse_tone_curve(value)
     assert "\n" not in str(error.value)
+
+
+def test_a_sampled_curve_is_straight_between_its_values() -> None:
+    curve = Sampled("mine", np.array([0.0, 0.1, 1.0]))
+    stored, light = np.array([0, 0.25, 0.5, 0.75, 1]), np.array([0, 0.05, 0.1, 0.55, 1])
+    np.testing.assert_allclose(curve.decode(stored), light, atol=1e-15)
+    np.testing.assert_allclose(curve.encode(light), stored, atol=1e-15)
+    assert float(jax.grad(curve.decode)(jnp.float32(0.8))) == pytest.approx(1.8)
+    assert curve.describe() == "mine"
+    for bad in ([0.0, 0.5, 0.4], [0.0, np.nan], [1.0], [0.5, 0.5]):
+        with pytest.raises(InputError, match="tone curve mine"):
+            Sampled("mine", np.array(bad))
+
+
+def test_a_power_is_told_as_it_is_read() -> None:
+    curve = parse_tone_curve({"gamma": 1.8})
+    assert isinstance(curve, Power)
+    assert curve.describe() == {"gamma": 1.8}
+    np.testing.assert_allclose(curve.decode(np.array([0.5, -0.5])), [0.5**1.8, -(0.5**1.8)])
