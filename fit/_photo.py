@@ -4,7 +4,6 @@
 (residuals, diagnosis) sees linear light, a mask and the size of a code step, never a file format.
 """
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -314,13 +313,15 @@ def _read_with_pillow(path: Path) -> _Stored:
             f"{path}: PIL.ImageFile.LOAD_TRUNCATED_IMAGES is on, which hides cut-off photos; "
             "switch it off"
         )
+    from render_gl._tiff import check_size
+
     with open(path, "rb") as stream:
         is_png = stream.read(len(_PNG)) == _PNG
         stream.seek(24)
         depth = stream.read(1)  # of a PNG: in its first chunk, at a fixed place
     image: Image.Image
     with PngImageFile(path) if is_png else JpegImageFile(path) as image:
-        _check_size(path, *image.size)
+        check_size(path, image.size, MAX_PIXELS)
         orientation = image.getexif().get(ExifTags.Base.Orientation, 1)
         if image.mode in ("CMYK", "YCCK"):
             raise InputError(f"{path}: is {image.mode}; convert it to RGB")
@@ -351,54 +352,28 @@ def _jpeg_of(image: JpegImageFile, orientation: object) -> Jpeg | None:
 
 
 def _read_tiff(path: Path) -> _Stored:
-    """The first page of a TIFF."""
-    import tifffile  # a quarter of a second to import, and only here
+    # Only here: the core of `fit` works without `render_gl` and OpenGL.
+    from render_gl._tiff import read_page
 
-    with tifffile.TiffFile(path) as tiff:
-        page: Any = tiff.pages[0]
-        _check_size(path, page.imagewidth, page.imagelength)
-        if page.is_reduced:
-            raise InputError(f"{path}: holds a thumbnail first, as raw files do; export it as TIFF")
-        photometric = tifffile.PHOTOMETRIC(page.photometric).name
-        lossy = page.compression == tifffile.COMPRESSION.JPEG
-        jpeg_colour = photometric == "YCBCR" and lossy
-        if photometric not in ("RGB", "MINISBLACK", "MINISWHITE") and not jpeg_colour:
-            raise InputError(f"{path}: is a {photometric} TIFF; convert it to RGB")
-        is_float = page.dtype is not None and page.dtype.kind == "f"
-        bits = None if is_float else int(page.bitspersample)
-        if page.dtype is None or page.dtype.kind not in "uf" or (bits or 0) > 16:
-            raise InputError(
-                f"{path}: its samples are {page.dtype or 'of a mixed kind'}; "
-                "save it with 8 or 16 bits or as float"
-            )
-        # A segment past the end, or of no bytes, would be filled in with zeros.
-        size = path.stat().st_size
-        segments = list(zip(page.dataoffsets, page.databytecounts, strict=True))
-        if len(segments) < math.prod(page.chunked) or any(
-            count == 0 or offset + count > size for offset, count in segments
-        ):
-            raise InputError(
-                f"{path}: parts of it are missing, or cut off after {size} bytes; copy or export "
-                "it again"
-            )
-        pixels = page.asarray()
-        axes = page.axes
-        orientation = page.tags.valueof(274, default=1)
-        colours = of_tiff({number: page.tags.valueof(number) for number in (301, 319, 34675)})
-    if sorted(axes) == ["S", "X", "Y"]:
-        pixels = np.moveaxis(pixels, axes.index("S"), -1)
-    elif axes != "YX":
-        raise InputError(f"{path}: its first page has axes {axes}; save one flat picture")
-    if photometric == "MINISWHITE":
+    page = read_page(path, MAX_PIXELS)
+    kind = page.samples.dtype.kind
+    if kind not in "uf" or (kind == "u" and page.bits > 16):
+        raise InputError(
+            f"{path}: its samples are {page.samples.dtype}; save it with 8 or 16 bits or as float"
+        )
+    bits = None if kind == "f" else page.bits
+    pixels = _colour_first(page.samples)
+    if page.white_is_zero:
         pixels = (1 if bits is None else 2**bits - 1) - pixels
-    pixels = orient(_colour_first(pixels), orientation)
-    return _Stored(pixels, bits, lossy, colours=colours)
+    pixels = orient(pixels, page.tags[274] or 1)
+    return _Stored(pixels, bits, page.lossy, colours=of_tiff(page.tags))
 
 
 def _read_exr(path: Path, any_channels: bool) -> _Stored:
     """R, G, B of an EXR, or Y of a grey one; for a mask all channels there are."""
     # Only here: the core of `fit` works without `render_gl` and OpenGL.
     from render_gl._exr import read_channels
+    from render_gl._tiff import check_size
 
     channels, attributes = read_channels(path)
     names = list(channels) if any_channels else ["R", "G", "B"]
@@ -409,7 +384,7 @@ def _read_exr(path: Path, any_channels: bool) -> _Stored:
             f"{path}: has the channels {sorted(channels)}; a photo needs R, G and B, or Y; "
             "export it with these names"
         )
-    _check_size(path, *channels[names[0]].shape[::-1])
+    check_size(path, channels[names[0]].shape[::-1], MAX_PIXELS)
     samples = np.stack([channels[name] for name in names], axis=-1)
     return _Stored(samples, None, False, colours=of_exr(attributes))
 
@@ -418,16 +393,6 @@ def _colour_first(pixels: np.ndarray) -> np.ndarray:
     """[h, w, 1 or 3]: without alpha and whatever else follows the colour."""
     pixels = pixels[..., None] if pixels.ndim == 2 else pixels
     return pixels[..., : 3 if pixels.shape[-1] >= 3 else 1]
-
-
-def _check_size(path: Path, width: int, height: int) -> None:
-    if width < 1 or height < 1:
-        raise InputError(f"{path}: has {width}×{height} pixels; export it again")
-    if width * height > MAX_PIXELS:
-        raise InputError(
-            f"{path}: {width}×{height} pixels are more than the {MAX_PIXELS} that are read; "
-            "scale it down or crop it"
-        )
 
 
 def orient(pixels: np.ndarray, orientation: object) -> np.ndarray:

@@ -4,12 +4,11 @@ Both have row 0 at the north pole and column 0 at -180 degrees of longitude. A f
 it contains, not by its name, and as it is stored: an EXIF orientation does not turn it.
 """
 
-import math
 import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Shaped
@@ -20,6 +19,7 @@ from model_jax import InputError, Planet, Srgb
 from ._exr import MAGIC as EXR
 from ._exr import read_channels
 from ._files import check_file
+from ._tiff import check_size, read_page
 
 MAX_PIXELS = 2**28
 """Largest map read, 32768×8192: a small damaged or hostile file can claim any size."""
@@ -147,7 +147,7 @@ def _read_png(path: Path) -> _Stored:
 
     data = path.read_bytes()
     width, height = (int.from_bytes(data[k : k + 4], "big") for k in (16, 20))  # the first chunk's
-    _check_size(path, height, width)
+    check_size(path, (width, height), MAX_PIXELS)
     samples = np.asarray(imagecodecs.png_decode(data))  # palettes looked up, 1 to 4 bits made 8
     samples = samples.reshape(height, width, -1)
     colours = 3 if samples.shape[-1] >= 3 else 1  # the rest is alpha
@@ -157,7 +157,7 @@ def _read_png(path: Path) -> _Stored:
 def _read_jpeg(path: Path) -> _Stored:
     # By its class: `Image.open` warns of sizes that real maps have.
     with JpegImageFile(path) as image:
-        _check_size(path, image.height, image.width)
+        check_size(path, image.size, MAX_PIXELS)
         if image.mode not in ("L", "RGB"):
             raise InputError(f"{path}: is {image.mode}; convert it to RGB")
         samples = np.asarray(image)
@@ -165,52 +165,24 @@ def _read_jpeg(path: Path) -> _Stored:
 
 
 def _read_tiff(path: Path) -> _Stored:
-    """The first page of a TIFF."""
-    import tifffile  # a quarter of a second to import, and only here
-
-    with tifffile.TiffFile(path) as tiff:
-        page: Any = tiff.pages[0]
-        _check_size(path, page.imagelength, page.imagewidth)
-        if page.is_reduced:
-            raise InputError(f"{path}: holds a thumbnail first; export the map alone")
-        photometric = tifffile.PHOTOMETRIC(page.photometric).name
-        jpeg_colour = photometric == "YCBCR" and page.compression == tifffile.COMPRESSION.JPEG
-        if photometric not in ("RGB", "MINISBLACK", "MINISWHITE") and not jpeg_colour:
-            raise InputError(f"{path}: is a {photometric} TIFF; convert it to grey or RGB")
-        if page.dtype is None or page.dtype.kind not in "buif":
-            raise InputError(
-                f"{path}: its samples are {page.dtype or 'of a mixed kind'}; "
-                "save it with 8 or 16 bits or as float"
-            )
-        colours = 3 if photometric in ("RGB", "YCBCR") else 1
-        extra = [tifffile.EXTRASAMPLE(kind).name for kind in page.extrasamples]
-        if page.samplesperpixel != colours + len(extra) or extra not in ([], ["UNASSALPHA"]):
-            raise InputError(
-                f"{path}: has {page.samplesperpixel} samples a pixel ({photometric} and "
-                f"{extra or 'nothing'}); save one flat picture without alpha"
-            )
-        # A segment that is missing, past the end, or of no bytes would be filled in with zeros.
-        size = path.stat().st_size
-        segments = list(zip(page.dataoffsets, page.databytecounts, strict=True))
-        if len(segments) < math.prod(page.chunked) or any(
-            count == 0 or offset + count > size for offset, count in segments
-        ):
-            raise InputError(
-                f"{path}: parts of its first page are missing, or cut off after {size} bytes; "
-                "copy or export it again"
-            )
-        samples, axes = page.asarray(), page.axes
-        bits = int(page.bitspersample)
-    if sorted(axes.replace("S", "")) != ["X", "Y"]:
-        raise InputError(f"{path}: its first page has axes {axes}; save one flat picture")
-    if "S" in axes:
-        samples = np.moveaxis(samples, axes.index("S"), -1)
-    samples = samples.reshape(*samples.shape[:2], -1)[..., :colours]
-    if samples.dtype.kind not in "bu" or bits > 16:
+    page = read_page(path, MAX_PIXELS)
+    samples = page.samples
+    if samples.dtype.kind not in "buif":
+        raise InputError(
+            f"{path}: its samples are {samples.dtype}; save it with 8 or 16 bits or as float"
+        )
+    count = samples.shape[-1]
+    if count != page.colours + len(page.extra) or page.extra not in ((), ("UNASSALPHA",)):
+        raise InputError(
+            f"{path}: has {count} samples a pixel, {page.colours} of colour and "
+            f"{list(page.extra) or 'nothing'}; save one flat picture without alpha"
+        )
+    samples = samples[..., : page.colours]
+    if samples.dtype.kind not in "bu" or page.bits > 16:
         return _Stored(samples, None)
-    top = 2**bits - 1
+    top = 2**page.bits - 1
     samples = samples.astype(np.uint16)
-    return _Stored(top - samples if photometric == "MINISWHITE" else samples, top)
+    return _Stored(top - samples if page.white_is_zero else samples, top)
 
 
 def _read_exr(path: Path) -> _Stored:
@@ -220,7 +192,7 @@ def _read_exr(path: Path) -> _Stored:
         raise InputError(
             f"{path}: has the channels {sorted(channels)}; save heights as the only one"
         )
-    _check_size(path, *channels[names[0]].shape)
+    check_size(path, channels[names[0]].shape[::-1], MAX_PIXELS)
     return _Stored(np.stack([channels[name] for name in names], axis=-1), None)
 
 
@@ -237,7 +209,7 @@ def _read_npy(path: Path) -> _Stored:
             raise InputError(
                 f"{path}: has shape {shape} of {dtype}; a height map is numbers [h, w]"
             )
-        _check_size(path, *shape)
+        check_size(path, shape[::-1], MAX_PIXELS)
         count = shape[0] * shape[1]
         if stream.tell() + count * dtype.itemsize > size:
             raise InputError(
@@ -246,13 +218,3 @@ def _read_npy(path: Path) -> _Stored:
             )
         heights = np.fromfile(stream, dtype, count).reshape(shape, order="F" if by_columns else "C")
     return _Stored(heights[..., None], None)
-
-
-def _check_size(path: Path, height: int, width: int) -> None:
-    if width < 1 or height < 1:
-        raise InputError(f"{path}: has {width}×{height} pixels; export it again")
-    if width * height > MAX_PIXELS:
-        raise InputError(
-            f"{path}: {width}×{height} pixels are more than the {MAX_PIXELS} that are read; "
-            "scale it down"
-        )
