@@ -19,12 +19,13 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 import render_gl
 from model_jax import AirlightError, Encoding, InputError, Layers, Look, Scene, Srgb, composite
+from model_jax._errors import printable
 
 from . import _assignments as assignments
 from ._compile import float64
 from ._compression import JpegHandling
 from ._export import Format, export_text, read_fit, write_export
-from ._guard import check_devices, guard
+from ._guard import check_devices, guard, tell
 from ._job import Job, Source, make_layers, prepare_folder, run_job, versions
 from ._pixels import Sampling
 from ._terminal import print_bench, print_check, print_fit
@@ -102,7 +103,7 @@ def render(
     _say(
         as_json,
         {"out": out, "width": camera.width, "height": camera.height} | facts,
-        f"{out}: {camera.width}×{camera.height}, {told}",
+        f"{printable(out)}: {camera.width}×{camera.height}, {told}",
     )
 
 
@@ -230,7 +231,7 @@ def fit(
     else:
         print_fit(Console(), document, out)
     if result.verdict == "at_bound":
-        print("airlight: warning: the best fit lies at a bound", file=sys.stderr)
+        tell("warning: the best fit lies at a bound")
     elif result.verdict != "converged":
         raise SystemExit(1)
 
@@ -288,7 +289,7 @@ def export(
     else:
         write_export(out, fitted, to)
     if fitted.warning is not None:
-        print(f"airlight: warning: {fitted.warning}", file=sys.stderr)
+        tell(f"warning: {fitted.warning}")
 
 
 @app.command()

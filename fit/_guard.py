@@ -20,10 +20,14 @@ import jax
 import typer
 
 from model_jax import AirlightError, DriverError
+from model_jax._errors import cut, printable
 
 BAD_INPUT, BUG, STOPPED, UNREAD = 2, 70, 130, 141
 """Exit codes: bad input; a bug, as sysexits.h numbers it; interrupted, and nobody reads what is
 printed, as shells number these signals."""
+
+LONGEST_LINE = 600
+"""Characters of a line on standard error; it is cut in its middle beyond, where names are."""
 
 # Typer shows the whole usage for a wrong option; its exception's text alone is one line.
 UsageError: Any = typer.BadParameter.__base__
@@ -61,6 +65,11 @@ def guard(command: Callable[[], str]) -> Iterator[None]:
             kind, text = type(error).__name__, " ".join(str(error).split())
             about = f"{kind}: {text}" if text else kind
             _stop(f"a bug of airlight's, not of your input ({about:.200}); report {name}", BUG)
+
+
+def tell(text: str, longest: int = LONGEST_LINE) -> None:
+    """One line on standard error, whatever characters and however many a user's names have."""
+    print(f"airlight: {cut(printable(text), longest)}", file=sys.stderr, flush=True)
 
 
 def check_devices() -> None:
@@ -116,7 +125,8 @@ def _own_terminal() -> Iterator[IO[bytes]]:
 
 def _stop(line: str, code: int) -> None:
     with suppress(OSError):
-        print(f"airlight: {' '.join(line.split())}", file=sys.stderr, flush=True)
+        # A bug's line may be the only place that holds its traceback.
+        tell(line, sys.maxsize if code == BUG else LONGEST_LINE)
     raise SystemExit(code) from None
 
 

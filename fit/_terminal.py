@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from model_jax._errors import printable
+
 from ._result import WELL_EXPLAINED
 from ._wording import (
     SECOND_OPINIONS,
@@ -54,7 +56,7 @@ def print_fit(console: Console, document: dict[str, Any], out: str | None) -> No
         _say(console, seconds, "dim")
     if out is not None:
         report = str(Path(out) / "report.html")
-        console.print(report, markup=False, highlight=False, soft_wrap=True)
+        console.print(printable(report), markup=False, highlight=False, soft_wrap=True)
 
 
 def fit_text(document: dict[str, Any], width: int = 100) -> str:
@@ -86,13 +88,13 @@ def print_bench(console: Console, document: dict[str, Any], out: str) -> None:
     console.print(table)
     machine = ", ".join(f"{name} {value}" for name, value in document["machine"].items())
     console.print(machine, style="dim", markup=False, highlight=False)
-    console.print(f"{out}/fit-bench.csv, fit-bench.json", markup=False, highlight=False)
+    console.print(f"{printable(out)}/fit-bench.csv, fit-bench.json", markup=False, highlight=False)
 
 
 def print_check(console: Console, summary: dict[str, Any], scene: str, folder: str) -> None:
     """Both halves of a cross-check."""
     parity, accuracy = summary["parity"], summary["accuracy"]
-    console.print(f"{scene}, {summary['depth']} depth", style="bold", markup=False, highlight=False)
+    _say(console, f"{printable(scene)}, {summary['depth']} depth", "bold")
     console.print(summary["depth_reason"], style="dim", markup=False, highlight=False)
     _verdict(console, parity["passed"], "GLSL against JAX on the same layers")
     table = Table(box=None, pad_edge=False, header_style="dim")
@@ -149,7 +151,7 @@ def print_check(console: Console, summary: dict[str, Any], scene: str, folder: s
         style="dim",
         highlight=False,
     )
-    files = f"{folder}/glsl.exr, jax.exr, difference.exr"
+    files = f"{printable(folder)}/glsl.exr, jax.exr, difference.exr"
     console.print(files, markup=False, highlight=False, soft_wrap=True)
 
 

@@ -36,10 +36,18 @@ def shown(value: object) -> str:
     return cut(" ".join(_REPR.repr(value).splitlines()))
 
 
-def cut(text: str) -> str:
-    """Text of at most `LONGEST` characters, its start and its end."""
-    half = (LONGEST - 3) // 2
-    return text if len(text) <= LONGEST else f"{text[:half]}...{text[-half:]}"
+def cut(text: str, longest: int = LONGEST) -> str:
+    """Text of at most `longest` characters, its start and its end."""
+    half = (longest - 3) // 2
+    return text if len(text) <= longest else f"{text[:half]}...{text[-half:]}"
+
+
+def printable(text: str) -> str:
+    """Text on one line that does nothing to a terminal: an escape character is written as \\x1b.
+
+    Names of files may hold any character, and bytes that are no text.
+    """
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split()))
 
 
 class _Repr(reprlib.Repr):
