@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from model_jax import InputError, Layers, Look, Response, Scene
+from model_jax._errors import shown as quoted
 from model_jax._shapes import AnyArray, is_traced
 
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
@@ -70,7 +71,7 @@ from ._result import (
     Verdict,
 )
 from ._search import End, Problem, search, state
-from ._solve import make_solver
+from ._solve import MOST_STEPS, make_solver
 from ._stream import Model, Prior
 from ._traced import TracedFit, concrete, fit_traced
 from ._uncertainty import (
@@ -410,8 +411,10 @@ def _check_kinds(photo: Any, layers: Any, look: Any, response: Any, max_steps: A
             raise InputError(
                 f"response: is of type {type(one).__name__}; give a Response, or one for each photo"
             )
-    if max_steps is not None and not (isinstance(max_steps, int) and max_steps >= 1):
-        raise InputError(f"max_steps: is {max_steps!r}; give a whole number, 1 or more, or None")
+    if max_steps is not None and not (isinstance(max_steps, int) and 1 <= max_steps <= MOST_STEPS):
+        raise InputError(
+            f"max_steps: is {quoted(max_steps)}; give a whole number, 1 to {MOST_STEPS:,}, or None"
+        )
 
 
 def _pairs(

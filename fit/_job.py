@@ -36,6 +36,7 @@ from model_jax import (
     limb_height,
     record,
 )
+from model_jax._errors import shown
 from model_jax._shapes import AnyArray
 from render_gl._files import check_name
 
@@ -48,7 +49,7 @@ from ._photo import Photo, load_photo
 from ._pixels import check_sampling
 from ._report import Section, photo_section, report_html
 from ._result import FitResult
-from ._solve import make_solver
+from ._solve import MOST_STEPS, make_solver
 
 Source = Literal[render_gl.Source, "analytic"]
 FILES = ("fit.json", "report.html", "image.exr", "residual.exr", "layers.exr", "influence.exr")
@@ -161,7 +162,7 @@ def run_job(
     progress("writing the report")
     started = time.perf_counter()
     # An earlier fit.json would vouch for files that are now replaced one by one.
-    (folder / "fit.json").unlink(missing_ok=True)
+    _remove(folder / "fit.json")
     document = _document(job, views, result, seconds)
     maps = [_write_maps(folder, result, number) for number in range(len(views))]
     result = replace(result, evidence=None)  # samples and layers, as large as the photos
@@ -204,8 +205,8 @@ def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
     check_jpeg(job.jpeg)
     check_sampling(job.sampling)
     make_solver(job.solver)
-    if job.max_steps is not None and job.max_steps < 1:
-        raise InputError(f"max-steps: {job.max_steps} is too few; allow 1 or more")
+    if job.max_steps is not None and not 1 <= job.max_steps <= MOST_STEPS:
+        raise InputError(f"max-steps: {shown(job.max_steps)} must be from 1 to {MOST_STEPS:,}")
     if len(job.photos) > 1 and (job.mask is not None or job.tone_curve is not None):
         raise InputError(
             "fit: --mask and --tone-curve are of one photo; with several, write mask and "
@@ -231,7 +232,7 @@ def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> View:
     curve: object = job.tone_curve
     mask = job.mask
     own = file is not None and file.photo.path is not None
-    if file is not None and own and Path(name).resolve() == Path(str(file.photo.path)):
+    if file is not None and own and os.path.realpath(name) == file.photo.path:
         curve = curve if curve is not None else file.photo.tone_curve
         mask = mask if mask is not None else file.photo.mask
     photo = load_photo(name, curve, mask)
@@ -317,7 +318,7 @@ def _write_maps(folder: Path, result: FitResult, number: int) -> Maps:
     weights = result.weights(number) if result.loss != "linear" and result.evidence else None
     name = told_first(result)
     if name is None:
-        path.unlink(missing_ok=True)  # an earlier fit's
+        _remove(path)  # an earlier fit's
         return Maps(None, weights)
     found = result.influence(name, number)
     channels = {channel: found[..., k] for k, channel in enumerate("RGB")}
@@ -431,6 +432,16 @@ def prepare_folder(out: str) -> Path:
     render_gl.write_whole(probe, lambda path: _write_text(path, ""))
     probe.unlink()
     return folder
+
+
+def _remove(path: Path) -> None:
+    """An earlier fit's file, if there is one. Raises `InputError` for a folder of that name."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be replaced ({error.strerror}); remove it or choose another folder"
+        ) from None
 
 
 def _write_text(path: Path, text: str) -> None:

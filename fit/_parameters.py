@@ -31,6 +31,10 @@ FAMILIES: dict[str, Meaning] = PARAMETERS | RESPONSE_PARAMETERS
 
 Entries = Float[np.ndarray, " e"]
 
+NARROWEST = 1e-100
+"""Least standard deviation of a prior: the square of float32 light over it is in float64's range,
+(3.4e38 / 1e-100)² < 1.8e308."""
+
 _ORDER = ("brightness", "tint", "shadow", "background", "exposure", "gamma", "black_level")
 """Who is told first: when two act alike in the pixels used, the later one is held."""
 
@@ -393,6 +397,11 @@ def _prior(name: str, mean: float, sigma: float) -> Prior:
         raise InputError(
             f"prior: {name} has the width {sigma!r}; give a standard deviation above 0, "
             "or hold the parameter at its start value"
+        )
+    if sigma < NARROWEST:
+        raise InputError(
+            f"prior: {name} has the width {sigma!r}, too small to reckon with; give {NARROWEST:g} "
+            "or more, or hold the parameter at its start value"
         )
     return Prior(float(mean), float(sigma))
 

@@ -42,6 +42,9 @@ parameters is promised."""
 FINISH = 1e-15
 """Of the exact Gauss–Newton steps at the end: on, until they do nothing."""
 
+MOST_STEPS = 1_000_000
+"""Most that may be asked for; each keeps a number of the descent, 8 MB in all."""
+
 
 @dataclass(frozen=True)
 class Descent:

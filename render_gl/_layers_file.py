@@ -126,8 +126,11 @@ def read_layers(
     rgb = [f"surface.{c}" for c in "RGB"]
     surface = np.stack([channels[c] for c in rgb], axis=-1) if set(rgb) <= set(channels) else None
     color = header.get("airlight.color", (1.0, 1.0, 1.0))
-    if not (isinstance(color, tuple) and len(color) == 3):
-        raise InputError(f"{path}: airlight.color is {color!r}; it must be three numbers")
+    if not (isinstance(color, tuple) and len(color) == 3 and np.all(np.isfinite(color))):
+        raise InputError(f"{path}: airlight.color is {color!r}; it must be three finite numbers")
+    unit = _number(path, header, "airlight.width_unit", 1.0)
+    if unit <= 0:
+        raise InputError(f"{path}: airlight.width_unit is {unit!r}; it must be above 0")
     return Layers(
         front=linear.front,
         back=linear.back,
@@ -137,9 +140,7 @@ def read_layers(
         planet=channels.get("planet.A"),
         color=np.array([*color, _number(path, header, "airlight.alpha", 1.0)]),
         reference=linear.reference,
-        width_unit=linear.width_unit
-        if coding != "linear"
-        else _number(path, header, "airlight.width_unit", 1.0),
+        width_unit=linear.width_unit if coding != "linear" else unit,
         stretch=channels.get("stretch.Y"),
         width_error=channels.get("width_error.Y"),
     )

@@ -229,8 +229,9 @@ def _path(key: str, folder: Path, name: str) -> str:
     """The path of a file beside the scene file, which need not exist."""
     if re.search(r"[\x00-\x1f\x7f-\x9f]", name):
         raise InputError(f"{key}: {shown(name)} has control characters; rename the file")
+    path = folder / name
     try:
-        path = (folder / name).resolve()
+        path = path.resolve()
         path.lstat()
     except RuntimeError:
         raise InputError(f"{key}: {shown(name)} is a link that leads to itself; mend it") from None

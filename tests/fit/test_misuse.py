@@ -46,7 +46,7 @@ def photo(layers: Layers) -> np.ndarray:
         ({"priors": {"shadow": 0.2}}, r"priors: shadow has 0.2; give two numbers, \(mean, st"),
         ({"tied": {"shadow": 3}}, r"tied: shadow is tied to 3; give the name"),
         ({"tied": "shadow"}, r"tied: is 'shadow'; give a dict of name → name"),
-        ({"max_steps": 0}, r"max_steps: is 0; give a whole number, 1 or more"),
+        ({"max_steps": 0}, r"max_steps: is 0; give a whole number, 1 to 1,000,000"),
         ({"max_steps": 2.5}, r"max_steps: is 2.5; give a whole number"),
         ({"solver": None}, r"solver: None is unknown; choose"),
         ({"solver": ["lm"]}, r"solver: \['lm'\] is unknown; choose"),

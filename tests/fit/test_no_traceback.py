@@ -4,6 +4,7 @@ or one printable line and exit code 2. A traceback, or exit code 70, is a fault 
 import contextlib
 import io
 import json
+import math
 import os
 import shutil
 import sys
@@ -248,7 +249,7 @@ def command_lines(draw: st.DrawFn) -> list[str]:
     return words
 
 
-@examples(150)
+@examples(60)
 @given(words=command_lines())
 def test_any_words(files: Path, words: list[str]) -> None:
     if words[:1] == ["bench"] and "-o" in words:
@@ -289,7 +290,7 @@ def scenes(draw: st.DrawFn) -> str:
     return "\n".join(lines)
 
 
-@examples(40)
+@examples(30)
 @given(text=scenes(), words=st.sampled_from([RENDER, FIT, CHECK, FIT[:-2], RENDER[:-2]]))
 def test_any_scene(files: Path, text: str, words: tuple[str, ...]) -> None:
     with copied(files):
@@ -316,7 +317,7 @@ def spoil(path: Path, place: int, length: int, content: bytes) -> None:
     path.write_bytes(data[:start] + content + data[end:])
 
 
-@examples(60)
+@examples(20)
 @given(how=spoilt())
 def test_any_photo(files: Path, how: tuple[str, int, int, bytes]) -> None:
     name, *rest = how
@@ -326,7 +327,7 @@ def test_any_photo(files: Path, how: tuple[str, int, int, bytes]) -> None:
         check("fit", "scene.toml", *words, "-o", "out", "--source", "analytic")
 
 
-@examples(15)
+@examples(8)
 @given(how=spoilt())
 def test_any_layers(files: Path, how: tuple[str, int, int, bytes]) -> None:
     with copied(files) as folder:
@@ -388,7 +389,7 @@ file_names = st.one_of(
 )
 
 
-@examples(100)
+@examples(60)
 @given(
     name=file_names,
     place=st.sampled_from(
@@ -433,6 +434,9 @@ LINES: dict[str, tuple[tuple[str, ...], str]] = {
     "bytes in an option": ((*FIT, "--prior", "\udcff"), r"--prior \udcff: must be NAME"),
     "escape in a name": (("render", "scene.toml", "-o", "\x1b[31m"), r"\x1b[31m: is neither .exr"),
     "no text in a name": (("export", "\udcff", "--to", "csv"), r"\udcff: no such file"),
+    "prior of no width": ((*FIT, "--prior", "brightness=3:1e-200"), "1e-200, too small"),
+    "steps beyond memory": ((*FIT, "--max-steps", str(2**31)), "must be from 1 to 1,000,000"),
+    "steps beyond JAX": ((*FIT, "--max-steps", str(10**30)), "must be from 1 to 1,000,000"),
     "break in a name": (("export", "a\nb", "--to", "csv"), "a b: no such file"),
 }
 
@@ -466,3 +470,41 @@ def test_names_on_standard_output_are_printable(
             printed = capsys.readouterr().out
             assert "\x1b" not in printed
             assert r"\x1b[31m" in printed
+
+
+def test_folders_where_files_belong(files: Path) -> None:
+    with copied(files):
+        Path("out/fit.json").mkdir(parents=True)
+        assert "out/fit.json: cannot be replaced" in check(*FIT)
+
+
+def test_a_photo_that_links_to_itself(files: Path) -> None:
+    with copied(files):
+        os.symlink("loop.png", "loop.png")
+        assert "loop.png: cannot be opened" in check("fit", "scene.toml", "loop.png", "-o", "out")
+
+
+def test_a_folder_that_is_gone(files: Path) -> None:
+    with copied(files) as folder:
+        Path("gone").mkdir()
+        os.chdir("gone")
+        os.rmdir(folder / "gone")
+        check("render", "../scene.toml", "-o", "new.png", "--source", "analytic")
+        os.chdir(folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("airlight.color", (math.nan, 1.0, 1.0)),
+        ("airlight.width_unit", 0.0),
+        ("airlight.width_unit", -1.0),
+    ],
+    ids=["no color", "no unit", "negative unit"],
+)
+def test_attributes_of_layers(files: Path, name: str, wrong: object) -> None:
+    with copied(files):
+        channels, header = render_gl.read_channels("layers.exr")
+        kept = {key: value for key, value in header.items() if key in ("airlight.depth",)}
+        render_gl.write_channels("layers.exr", channels, kept | {name: wrong})
+        assert f"{name} is" in check(*FROM_LAYERS)
