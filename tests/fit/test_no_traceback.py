@@ -249,7 +249,7 @@ def command_lines(draw: st.DrawFn) -> list[str]:
     return words
 
 
-@examples(60)
+@examples(25)
 @given(words=command_lines())
 def test_any_words(files: Path, words: list[str]) -> None:
     if words[:1] == ["bench"] and "-o" in words:
@@ -290,7 +290,7 @@ def scenes(draw: st.DrawFn) -> str:
     return "\n".join(lines)
 
 
-@examples(30)
+@examples(25)
 @given(text=scenes(), words=st.sampled_from([RENDER, FIT, CHECK, FIT[:-2], RENDER[:-2]]))
 def test_any_scene(files: Path, text: str, words: tuple[str, ...]) -> None:
     with copied(files):
@@ -317,7 +317,7 @@ def spoil(path: Path, place: int, length: int, content: bytes) -> None:
     path.write_bytes(data[:start] + content + data[end:])
 
 
-@examples(20)
+@examples(5)
 @given(how=spoilt())
 def test_any_photo(files: Path, how: tuple[str, int, int, bytes]) -> None:
     name, *rest = how
@@ -327,7 +327,7 @@ def test_any_photo(files: Path, how: tuple[str, int, int, bytes]) -> None:
         check("fit", "scene.toml", *words, "-o", "out", "--source", "analytic")
 
 
-@examples(8)
+@examples(5)
 @given(how=spoilt())
 def test_any_layers(files: Path, how: tuple[str, int, int, bytes]) -> None:
     with copied(files) as folder:
@@ -365,7 +365,7 @@ def fit_documents(draw: st.DrawFn, text: str) -> bytes:
     return "\n".join(lines).encode(errors="surrogatepass")
 
 
-@examples(200)
+@examples(100)
 @given(data=st.data(), to=st.sampled_from(KNOWN["--to"]))
 def test_any_fit_json(files: Path, data: st.DataObject, to: str) -> None:
     document = json.loads((files / "fit.json").read_text())
@@ -389,7 +389,7 @@ file_names = st.one_of(
 )
 
 
-@examples(60)
+@examples(25)
 @given(
     name=file_names,
     place=st.sampled_from(
