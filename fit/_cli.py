@@ -77,6 +77,8 @@ def render(
 ) -> None:
     """Draw a scene's layers and combined picture."""
     check_devices()
+    if not out:
+        raise InputError("-o: is empty; name a file, .exr or .png")
     suffix = Path(out).suffix.lower()
     if suffix not in (".exr", ".png"):
         raise InputError(f"{out}: is neither .exr (layers and picture) nor .png (picture)")

@@ -262,12 +262,10 @@ class _Stored(NamedTuple):
 
 
 def _read(path: Path, any_channels: bool = False) -> _Stored:
-    try:
-        with open(path, "rb") as stream:
-            start = stream.read(8)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{path}: cannot be opened ({reason}); check the path") from error
+    from render_gl._files import check_file
+
+    with open(check_file(path), "rb") as stream:
+        start = stream.read(8)
     if start.startswith(_EXR):
         return _read_exr(path, any_channels)
     reader: Callable[[Path], _Stored]
@@ -290,8 +288,6 @@ def _read(path: Path, any_channels: bool = False) -> _Stored:
 
 def _name_format(path: Path, start: bytes) -> str:
     """What a file that is not read is, as far as Pillow can tell."""
-    if not start:
-        return "is empty (0 bytes)"
     if start[4:] == b"ftyp":
         return "is a HEIF or AVIF picture, which is not read"
     for extension in ("WEBP", "BMP", "GIF", "PPM", "JPEG2000", "ICO", "PSD"):

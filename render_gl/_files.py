@@ -28,6 +28,8 @@ def write_whole(path: PathLike, write: Callable[[Path], None]) -> None:
     when `path` is no regular file or the disk refuses the bytes. What else `write` raises passes
     through.
     """
+    if not os.fspath(path):
+        raise InputError("the name of the file to write is empty; name one")
     try:
         target = Path(path).resolve()
         if target.exists() and not target.is_file():
@@ -38,7 +40,9 @@ def write_whole(path: PathLike, write: Callable[[Path], None]) -> None:
     except (OSError, ValueError, RuntimeError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path!r}: not a usable path ({error}); choose another") from error
+        raise InputError(
+            f"{os.fspath(path)!r}: not a usable path ({error}); choose another"
+        ) from error
     try:
         temporary_folder = tempfile.TemporaryDirectory(dir=folder, prefix=".airlight-")
     except OSError as error:
@@ -81,7 +85,8 @@ def check_file(path: PathLike) -> Path:
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path!r}: not a usable path ({error}); check it") from error
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{os.fspath(path)!r}: not a usable path ({reason}); check it") from error
     if status.st_size == 0:
         raise InputError(f"{path}: is empty (0 bytes); write it again")
     return Path(path)

@@ -136,6 +136,8 @@ def test_names_that_are_no_text(here: Path) -> None:
         (["render", b"s\xff.toml", "-o", b"r\xff.exr"], rb"r\xff.exr: is no UTF-8 text"),
         (["fit", b"s\xff.toml", b"p\xff.png", "-o", ""], b"-o: is empty; name a folder"),
         (["check", b"s\xff.toml", "-o", ""], b"-o: is empty; name a folder"),
+        (["render", b"s\xff.toml", "-o", ""], b"-o: is empty; name a file"),
+        (["export", "out/fit.json", "--to", "csv", "-o", ""], b"write is empty; name one"),
     ):
         done = airlight(*words)
         assert done.returncode == 2

@@ -481,7 +481,15 @@ def test_folders_where_files_belong(files: Path) -> None:
 def test_a_photo_that_links_to_itself(files: Path) -> None:
     with copied(files):
         os.symlink("loop.png", "loop.png")
-        assert "loop.png: cannot be opened" in check("fit", "scene.toml", "loop.png", "-o", "out")
+        told = check("fit", "scene.toml", "loop.png", "-o", "out")
+        assert "not a usable path (Too many levels" in told
+
+
+@pytest.mark.parametrize("words", [["fifo"], ["photo.png", "--mask", "fifo"]])
+def test_a_pipe_is_not_waited_for(words: list[str], files: Path) -> None:
+    with copied(files):
+        told = check("fit", "scene.toml", *words, "-o", "out")
+        assert "fifo: is a pipe or a device; name a regular file" in told
 
 
 def test_a_folder_that_is_gone(files: Path) -> None:

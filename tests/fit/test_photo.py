@@ -296,8 +296,12 @@ class TestUnusable:
             load_photo(tmp_path / "a.jpg")
 
     def test_missing_file_and_folder(self, tmp_path: Path) -> None:
-        for path in (tmp_path / "none.png", tmp_path, f"{tmp_path}/a\0b"):
-            with pytest.raises(InputError, match="cannot be opened"):
+        for path, told in (
+            (tmp_path / "none.png", "no such file; check the path"),
+            (tmp_path, "is a folder; name a file in it"),
+            (f"{tmp_path}/a\0b", "not a usable path"),
+        ):
+            with pytest.raises(InputError, match=told):
                 load_photo(path)
 
     @pytest.mark.parametrize("fraction", [0.3, 0.7, 0.99])
