@@ -214,20 +214,10 @@ def fit(
         make_solver(solver)
         steps = MAX_STEPS.get(solver, 256) if max_steps is None else max_steps
         named = free is not None
-        return _fit(
-            _Task(
-                photos,
-                all_layers,
-                look,
-                parameters,
-                loss_name,
-                handling,
-                sampled,
-                solver,
-                steps,
-                named,
-            )
+        task = _Task(
+            photos, all_layers, look, parameters, loss_name, handling, sampled, solver, steps, named
         )
+        return _fit(task)
 
 
 def _fit_traced(

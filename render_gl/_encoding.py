@@ -21,8 +21,9 @@ _FEWEST = 200
 """Pixels of air that tell a sphere from something else."""
 _MOST = 20_000
 _BETTER = 10.0
-"""How much closer to a sphere another encoding must be. Right and wrong ones differ by 500 and more
-in layers as exact as float32, and by 20 in those of coarse meshes."""
+"""How much closer to a sphere another encoding must be. Wrong ones are 500 times as far off as the
+right one and more in layers as exact as float32, 43 times in those of meshes of 20,000 triangles,
+and 4 times in those of 2,000, of which this cannot tell."""
 _WRONG = 1e-3
 """Misfit from which numbers in [0, 1] are no eye depths: float32 has 1e-6, the others 2e-3 up."""
 _CONSTANTS = (1.0, *(10.0**k for k in range(-6, 4) if k))
