@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import InputError, Layers, Look, Response, Scene
-from model_jax._errors import shown as quoted
+from model_jax import InputError, Layers, Look, Response
+from model_jax._kinds import need
 from model_jax._shapes import AnyArray, is_traced
 
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
@@ -71,7 +71,7 @@ from ._result import (
     Verdict,
 )
 from ._search import End, Problem, search, state
-from ._solve import MOST_STEPS, make_solver
+from ._solve import check_steps, make_solver
 from ._stream import Model, Prior
 from ._traced import TracedFit, concrete, fit_traced
 from ._uncertainty import (
@@ -383,28 +383,13 @@ def _check_kinds(photo: Any, layers: Any, look: Any, response: Any, max_steps: A
                 "light as an array [height, width, 3] of floats; of several photos a list of these"
             )
     for one in layers if isinstance(layers, list | tuple) else (layers,):
-        if isinstance(one, Scene):
-            raise InputError(
-                "layers: is a Scene; give analytic_layers(scene) or render_gl.render(scene)"
-            )
-        if not isinstance(one, Layers):
-            raise InputError(
-                f"layers: is of type {type(one).__name__}; give Layers, one for each photo, from "
-                "analytic_layers, render_gl.render or render_gl.read_layers"
-            )
+        need("layers", one, Layers)
     if is_traced(layers):
         raise InputError("fit: the layers are traced; make them outside of jit, vmap or grad")
-    if not isinstance(look, Look):
-        raise InputError(f"look: is of type {type(look).__name__}; give a Look")
+    need("look", look, Look)
     for one in response if isinstance(response, list | tuple) else (response,):
-        if not isinstance(one, Response):
-            raise InputError(
-                f"response: is of type {type(one).__name__}; give a Response, or one for each photo"
-            )
-    if max_steps is not None and not (isinstance(max_steps, int) and 1 <= max_steps <= MOST_STEPS):
-        raise InputError(
-            f"max_steps: is {quoted(max_steps)}; give a whole number, 1 to {MOST_STEPS:,}, or None"
-        )
+        need("response", one, Response)
+    check_steps("max_steps", max_steps)
 
 
 def _pairs(

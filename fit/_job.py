@@ -36,7 +36,6 @@ from model_jax import (
     limb_height,
     record,
 )
-from model_jax._errors import shown
 from model_jax._shapes import AnyArray
 from render_gl._files import check_name
 
@@ -49,7 +48,7 @@ from ._photo import Photo, load_photo
 from ._pixels import check_sampling
 from ._report import Section, photo_section, report_html
 from ._result import FitResult
-from ._solve import MOST_STEPS, make_solver
+from ._solve import check_steps, make_solver
 
 Source = Literal[render_gl.Source, "analytic"]
 FILES = ("fit.json", "report.html", "image.exr", "residual.exr", "layers.exr", "influence.exr")
@@ -205,8 +204,7 @@ def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
     check_jpeg(job.jpeg)
     check_sampling(job.sampling)
     make_solver(job.solver)
-    if job.max_steps is not None and not 1 <= job.max_steps <= MOST_STEPS:
-        raise InputError(f"max-steps: {shown(job.max_steps)} must be from 1 to {MOST_STEPS:,}")
+    check_steps("max-steps", job.max_steps)
     if len(job.photos) > 1 and (job.mask is not None or job.tone_curve is not None):
         raise InputError(
             "fit: --mask and --tone-curve are of one photo; with several, write mask and "

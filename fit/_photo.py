@@ -17,6 +17,7 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from model_jax._errors import InputError
+from model_jax._kinds import need_path
 from model_jax._tone import Linear, Srgb, ToneCurve, parse_tone_curve
 
 from ._colour import Colours, of_exr, of_jpeg, of_png, of_tiff
@@ -26,12 +27,6 @@ PathLike = str | os.PathLike[str]
 
 MAX_PIXELS = 2**28
 """Largest photo read, 268 megapixels: a small damaged or hostile file can claim any size."""
-
-_JPEG = b"\xff\xd8\xff"
-_PNG = b"\x89PNG\r\n\x1a\n"
-_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_EXR = b"\x76\x2f\x31\x01"
-
 
 REASONS = ("masked", "not finite")
 """Why a photo leaves a pixel out, in the order in which the reasons apply."""
@@ -148,7 +143,7 @@ def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None 
     Raises `InputError` for files that are missing, damaged, cut off, of another format, of more
     than `MAX_PIXELS` pixels, for CMYK, for an EXR without R, G, B, and for a mask of another size.
     """
-    file = Path(path)
+    file = Path(need_path("path", path))
     stored, bits, lossy, jpeg, colours = _read(file)
     curve, remarks = _choose_curve(tone_curve, colours, bits)
     stored = _three_channels(file, stored)
@@ -230,7 +225,7 @@ def _decode_float(stored: np.ndarray, curve: ToneCurve) -> np.ndarray:
 
 def _read_mask(path: PathLike, photo: Path, stored: np.ndarray) -> np.ndarray:
     """True where the mask keeps the pixel."""
-    file = Path(path)
+    file = Path(need_path("mask", path))
     values = _read(file, any_channels=True).samples
     if values.shape[:2] != stored.shape[:2]:
         (height, width), (photo_height, photo_width) = values.shape[:2], stored.shape[:2]
@@ -262,28 +257,22 @@ class _Stored(NamedTuple):
 
 
 def _read(path: Path, any_channels: bool = False) -> _Stored:
-    from render_gl._files import check_file
+    from render_gl._exr import MAGIC as EXR
+    from render_gl._files import JPEG, PNG, TIFF, check_file, decoding
 
     with open(check_file(path), "rb") as stream:
         start = stream.read(8)
-    if start.startswith(_EXR):
+    if start.startswith(EXR):
         return _read_exr(path, any_channels)
     reader: Callable[[Path], _Stored]
-    if start.startswith((_JPEG, _PNG)):
+    if start.startswith((JPEG, PNG)):
         reader = _read_with_pillow
-    elif start.startswith(_TIFF):
+    elif start.startswith(TIFF):
         reader = _read_tiff
     else:
         raise InputError(f"{path}: {_name_format(path, start)}; save it as PNG, TIFF, JPEG or EXR")
-    try:
+    with decoding(path):
         return reader(path)
-    except InputError:
-        raise
-    except Exception as error:  # what decoders raise on damaged files is not documented
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise InputError(
-            f"{path}: damaged or cut off ({reason}); copy or export it again"
-        ) from error
 
 
 def _name_format(path: Path, start: bytes) -> str:
@@ -309,10 +298,11 @@ def _read_with_pillow(path: Path) -> _Stored:
             f"{path}: PIL.ImageFile.LOAD_TRUNCATED_IMAGES is on, which hides cut-off photos; "
             "switch it off"
         )
+    from render_gl._files import PNG
     from render_gl._tiff import check_size
 
     with open(path, "rb") as stream:
-        is_png = stream.read(len(_PNG)) == _PNG
+        is_png = stream.read(len(PNG)) == PNG
         stream.seek(24)
         depth = stream.read(1)  # of a PNG: in its first chunk, at a fixed place
     image: Image.Image

@@ -17,6 +17,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Float
 
+from model_jax._errors import InputError, shown
 from model_jax._shapes import AnyArray
 
 from ._bijections import to_tints, to_value
@@ -109,6 +110,14 @@ class Pass(eqx.Module):
         found = _gram(entries, along, self.samples, self.model) / self.size**2
         # Where light overflows no step is better; the factor of a NaN would pass for a cost of 0.
         return jnp.where(jnp.isfinite(found).all(), found, jnp.inf)
+
+
+def check_steps(name: str, steps: object) -> None:
+    """Raise `InputError` for a number of steps that no descent takes; None is the solver's own."""
+    if steps is not None and not (isinstance(steps, int) and 1 <= steps <= MOST_STEPS):
+        raise InputError(
+            f"{name}: is {shown(steps)}; give a whole number, 1 to {MOST_STEPS:,}, or none"
+        )
 
 
 def make_solver(name: object, tolerance: float = TOLERANCE) -> Solver:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from ._errors import InputError
 from ._intersect import ray_cone, ray_sphere, squared_miss_distance
+from ._kinds import need, need_float
 from ._layers import Layers
 from ._scene import Scene
 from ._shapes import AnyArray, is_traced, namespace
@@ -45,6 +46,8 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
     Raises:
         InputError: float64 asked for while JAX has it switched off.
     """
+    need("scene", scene, Scene)
+    need_float("dtype", dtype)
     if jax.dtypes.canonicalize_dtype(dtype) != jnp.dtype(dtype):
         raise InputError(
             "analytic_layers: dtype float64 while JAX has 64-bit numbers switched off; "
@@ -71,6 +74,7 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
 
 def ray_stretch(scene: Scene) -> Float[np.ndarray, "h w"]:
     """Length along each pixel's ray for a unit of eye depth, `|(x, y, 1)|`; float64."""
+    need("scene", scene, Scene)
     return np.asarray(_stretch(scene, np.float64))
 
 
@@ -169,6 +173,8 @@ def limb_height(scene: Scene, dtype: DTypeLike = np.float64) -> Float[np.ndarray
     Computed in float64 whatever the dtype, scene length units; negative where the line meets the
     planet. The abscissa of a limb profile.
     """
+    need("scene", scene, Scene)
+    need_float("dtype", dtype)
     camera, radius = scene.camera, float(scene.planet.radius)
     height = np.empty((camera.height, camera.width), dtype)
     for band, view in bands(scene):

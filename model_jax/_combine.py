@@ -14,6 +14,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Float
 
+from ._kinds import as_jax, need, need_array
 from ._layers import Layers
 from ._look import Look
 from ._shapes import AnyArray, Depth, Rgba, Scalar, Shadows, Width
@@ -30,6 +31,7 @@ def layer_widths(layers: Layers) -> tuple[Width, Width | None]:
 
     Twin: `layer_widths` in `combine.glsl`.
     """
+    need("layers", layers, Layers)
     front = jnp.asarray(layers.front)
     unit = jnp.asarray(layers.width_unit, front.dtype)
     lit, dark = _depth_widths(layers)
@@ -83,6 +85,7 @@ def combine(layers: Layers, look: Look) -> Rgba:
 
     Twin: `combine` in `combine.glsl`.
     """
+    need("look", look, Look)
     lit, dark = layer_widths(layers)
     color = jnp.asarray(layers.color, lit.dtype)
     rgb = air_light(lit[..., None], None if dark is None else dark[..., None], color[:3], look)
@@ -102,6 +105,11 @@ def air_light(
         lit, dark: widths in `width_unit`s; `dark` None without shadow.
         color: linear RGB of the air.
     """
+    need("look", look, Look)
+    need_array("lit", lit, "[..., 1]")
+    if dark is not None:
+        need_array("dark", dark, "[..., 1]")
+    color = as_jax("color", color)
     dtype = lit.dtype
     shape = (1,) * (lit.ndim - 1) + (-1,)
     width = lit

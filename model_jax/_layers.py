@@ -9,23 +9,19 @@ somebody's own renderer. What a scene does not need is absent (`None`), never ze
 from typing import Literal, get_args
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ._errors import InputError
+from ._errors import InputError, shown
+from ._kinds import as_jax, need_array, need_number
 from ._safe import is_host
-from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar, Shadows
+from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar, Shadows, converter
 
 Encoding = Literal["window", "reversed", "linear", "log"]
 """What a depth texture's numbers are: window depth in [0, 1] with the near plane at 0, "reversed"
 with the near plane at 1, eye depth, or the logarithmic depth of large worlds."""
 ENCODINGS: tuple[Encoding, ...] = get_args(Encoding)
-
-
-def _array(value: object) -> AnyArray:
-    return value if isinstance(value, jax.Array) else np.asarray(value, dtype=np.float64)
 
 
 class Layers(eqx.Module):
@@ -50,7 +46,9 @@ class Layers(eqx.Module):
     planet: Float[AnyArray, "h w"] | None = None
     """1 where the planet or an occluder ends the ray, 0 where space does; `None` when nobody
     knows."""
-    color: Float[AnyArray, "4"] = eqx.field(converter=_array, default=(1.0, 1.0, 1.0, 1.0))
+    color: Float[AnyArray, "4"] = eqx.field(
+        converter=converter("layers.color"), default=(1.0, 1.0, 1.0, 1.0)
+    )
     """Linear RGB and alpha of the air (the shell's vertex colour in the paper)."""
     reference: Scalar = 0.0
     """Eye depth that the depths are relative to; float64 on the host."""
@@ -66,8 +64,14 @@ class Layers(eqx.Module):
     def __check_init__(self) -> None:
         if np.shape(self.color) != (4,):
             raise InputError(
-                f"layers.color: {self.color} must be four numbers [red, green, blue, alpha]"
+                f"layers.color: {shown(self.color)} must be four numbers [red, green, blue, alpha]"
             )
+        _need_depths("layers", self)
+        for name in ("surface", "planet", "stretch", "width_error"):
+            if (part := getattr(self, name)) is not None:
+                need_array(f"layers.{name}", part, "[h, w, 3]" if name == "surface" else "[h, w]")
+        for name in ("reference", "width_unit"):
+            need_number(f"layers.{name}", getattr(self, name))
         front, back = (() if s is None else s.shape for s in (self.shadow_front, self.shadow_back))
         if front != back:
             raise InputError(
@@ -123,6 +127,11 @@ class DepthTextures(eqx.Module):
     constant: Scalar = 1.0
     """Of logarithmic depths (see `linearize_depth`)."""
 
+    def __check_init__(self) -> None:
+        _need_depths("textures", self)
+        _need_coding(self.encoding, self.near, self.far, self.constant)
+        need_number("reference", self.reference)
+
     def linearize(self) -> Layers:
         """`Layers` without surface, planet mask or colour (the renderer adds what it drew).
 
@@ -151,12 +160,47 @@ class DepthTextures(eqx.Module):
         )
 
 
-def depth_constants(near: Scalar, far: Scalar, is_reversed: bool = False) -> tuple[Scalar, Scalar]:
+def _need_depths(owner: str, record: "Layers | DepthTextures") -> None:
+    """Raise `InputError` for depths that are no arrays."""
+    for name in ("front", "back", "shadow_front", "shadow_back"):
+        depths = getattr(record, name)
+        if depths is not None or name in ("front", "back"):
+            several = ", of several shadows [n, h, w]" if name.startswith("shadow") else ""
+            need_array(f"{owner}.{name}", depths, f"[h, w]{several}")
+
+
+def _need_coding(encoding: object, near: Scalar, far: Scalar, constant: Scalar = 1.0) -> None:
+    """Raise `InputError` for an unknown encoding, and for planes and constants that cannot be."""
+    if encoding not in ENCODINGS:
+        raise InputError(
+            f"encoding: {shown(encoding)} is unknown; use one of {', '.join(ENCODINGS)}"
+        )
+    for name, number in (("near", near), ("far", far), ("constant", constant)):
+        need_number(name, number)
+    if encoding == "linear" or not is_host(near, far, constant):
+        return
+    if not 0 < near < far:
+        raise InputError(
+            f"near, far: {shown(near)} and {shown(far)} are no clip planes; give 0 < near < far"
+        )
+    if not 0 < constant < np.inf:
+        raise InputError(f"constant: {shown(constant)} must be finite and above 0")
+
+
+def depth_constants(
+    near: Scalar, far: Scalar, encoding: Encoding = "window"
+) -> tuple[Scalar, Scalar]:
     """`a = far / (far - near)`, `b = far·near / (near - far)` of the paper's ZParam.
 
     Of a reversed window depth, `near (far - z) / (z (far - near))`, solved for z likewise:
     `a = near / (near - far)`, `b = far·near / (far - near)`. An infinite far plane is their limit.
+
+    Raises `InputError` for other encodings, which have no such constants.
     """
+    _need_coding(encoding, near, far)
+    if encoding not in ("window", "reversed"):
+        raise InputError(f"encoding: {encoding!r} depths have no such constants; use window ones")
+    is_reversed = encoding == "reversed"
     if is_host(near, far) and np.isinf(far):
         return (0.0, near) if is_reversed else (1.0, -near)
     if is_reversed:
@@ -192,9 +236,12 @@ def linearize_depth(
         exactly `near` and `far` at the clip planes, and never outside of them. The constants are
         computed in float64 on the host when `near` and `far` are plain numbers.
 
+    Raises `InputError` for an unknown encoding and impossible planes, where not traced.
+
     Twin: `linearize_depth` in `combine.glsl`.
     """
-    depth = jnp.asarray(depth)
+    _need_coding(encoding, near, far, constant)
+    depth = as_jax("depth", depth)
     if encoding == "linear":
         return depth
     at_far = 0.0 if encoding == "reversed" else 1.0
@@ -203,7 +250,7 @@ def linearize_depth(
         steepness = jnp.asarray(xp.log1p(constant * far), depth.dtype)
         found = jnp.expm1(depth * steepness) / jnp.asarray(constant, depth.dtype)
         return jnp.where(depth == at_far, jnp.asarray(far, depth.dtype), found)
-    a, b = depth_constants(near, far, encoding == "reversed")
+    a, b = depth_constants(near, far, encoding)
     if is_host(near, far):
         a, b = jnp.asarray(a, depth.dtype), jnp.asarray(b, depth.dtype)
     near, far = jnp.asarray(near, depth.dtype), jnp.asarray(far, depth.dtype)

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._errors import InputError, shown
+from ._kinds import as_jax, need
 from ._look import Parameter
 from ._safe import safe_power
 from ._shapes import AnyArray, Scalar, converter
@@ -66,7 +67,8 @@ def record(
         Recorded light, same shape and dtype. The slope is finite everywhere; where light is
         exactly zero it is taken as zero when gamma is not 1.
     """
-    light = jnp.asarray(light)
+    need("response", response, Response)
+    light = as_jax("light", light)
     dtype = light.dtype
     exposed = jnp.asarray(response.exposure, dtype) * light
     if not linear:

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._errors import InputError, shown
+from ._kinds import need, need_path
 from ._shapes import AnyArray, Scalar, converter, namespace
 
 Vector = Float[AnyArray, "3"]
@@ -54,6 +55,15 @@ def _floats(name: str) -> Callable[[object], tuple[float, ...]]:
     """Converter to a tuple of Python's floats, which static fields need."""
     convert = converter(name)
     return lambda value: tuple(np.ravel(convert(value)).tolist())
+
+
+def _path(name: str) -> Callable[[object], str | None]:
+    """Converter of the path of a file, or of None, to what records of scenes can hold."""
+
+    def text(value: object) -> str | None:
+        return None if value is None else need_path(name, value)
+
+    return text
 
 
 def _rgba(value: object) -> Scalar | AnyArray:
@@ -135,7 +145,7 @@ class Planet(eqx.Module):
 
     radius: Scalar = eqx.field(converter=converter("planet.radius"))
     """Mean radius, > 0; also the radius of the shadow cone's base."""
-    relief: str | None = eqx.field(static=True, default=None)
+    relief: str | None = eqx.field(static=True, converter=_path("planet.relief"), default=None)
     """Height map, equirectangular (-180…180°, north up); its name is the renderer's business."""
     relief_unit: Scalar = eqx.field(converter=converter("planet.relief_unit"), default=1.0)
     """Height of one unit of the map (white = 1 in pictures of 8 or 16 bits), scene length units."""
@@ -147,7 +157,7 @@ class Planet(eqx.Module):
         static=True, converter=_floats("planet.relief_distance"), default=(0.01, 2.0)
     )
     """Camera heights, in planet radii, at which the first and the second scale are reached."""
-    albedo: str | None = eqx.field(static=True, default=None)
+    albedo: str | None = eqx.field(static=True, converter=_path("planet.albedo"), default=None)
     """Surface colour, equirectangular sRGB picture; none = black planet."""
     triangles: int = eqx.field(static=True, default=196_000)
     """At least this many triangles (the paper's number)."""
@@ -239,6 +249,14 @@ class Scene(eqx.Module):
     occluders: tuple[Occluder, ...] = ()
 
     def __check_init__(self) -> None:
+        for name, kind in (("camera", Camera), ("planet", Planet), ("atmosphere", Atmosphere)):
+            need(f"scene.{name}", getattr(self, name), kind)
+        if self.sun is not None:
+            need("scene.sun", self.sun, Sun)
+        if not isinstance(self.occluders, tuple | list):
+            need("scene.occluders", self.occluders, tuple)
+        for number, body in enumerate(self.occluders):
+            need(f"scene.occluders[{number}]", body, Occluder)
         if self.occluders and self.sun is None:
             raise InputError(
                 f"occluder: {len(self.occluders)} given without a sun, so they cast no shadow; "

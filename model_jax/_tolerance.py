@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 
 from ._analytic import bands, ray_stretch, trace_view
 from ._combine import layer_widths
+from ._kinds import need, need_number
 from ._layers import Layers
 from ._scene import Scene
 from ._view import View
@@ -48,6 +49,8 @@ def width_ranges(scene: Scene, inner: float, outer: float) -> WidthRanges:
         inner, outer: how far inside and outside its true place, in planet radii, each surface
             (ground, shell, occluders, shadows) may lie, both ≥ 0.
     """
+    need("scene", scene, Scene)
+    inner, outer = float(need_number("inner", inner)), float(need_number("outer", outer))
     size = (scene.camera.height, scene.camera.width)
     radius = float(scene.planet.radius)
     lit, dark = np.empty((2, *size)), np.zeros((2, *size))
@@ -81,6 +84,7 @@ def shadows_in_view(scene: Scene) -> tuple[bool, ...]:
     The planet's shadow first, then the occluders'; empty without a sun. A billionth of a planet
     radius does not count: it is rounding.
     """
+    need("scene", scene, Scene)
     if scene.sun is None:
         return ()
     seen = np.zeros(1 + len(scene.occluders), bool)

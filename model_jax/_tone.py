@@ -8,10 +8,12 @@ included. `parse_tone_curve` reads the form scene files use.
 from abc import abstractmethod
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from ._errors import InputError, shown
+from ._kinds import need_array
 from ._safe import safe_power
 from ._shapes import AnyArray, Scalar, namespace
 
@@ -74,6 +76,10 @@ class Exposure(ToneCurve):
     exposure: Scalar
     gamma: Scalar = 1.0
 
+    def __check_init__(self) -> None:
+        _check_positive("exposure", self.exposure)
+        _check_positive("gamma", self.gamma)
+
     def encode(self, linear: AnyArray) -> AnyArray:
         xp = namespace(linear, self.exposure)
         return safe_power(-xp.expm1(-self.exposure * linear), 1 / self.gamma)
@@ -95,8 +101,7 @@ class Power(ToneCurve):
     gamma: Scalar
 
     def __check_init__(self) -> None:
-        if isinstance(self.gamma, float | int):
-            _positive("gamma", self.gamma)
+        _check_positive("gamma", self.gamma)
 
     def encode(self, linear: AnyArray) -> AnyArray:
         xp = namespace(linear, self.gamma)
@@ -118,7 +123,10 @@ class Sampled(ToneCurve):
     light: Float[np.ndarray, " n"]
 
     def __check_init__(self) -> None:
-        if len(self.light) < 2 or not np.all(np.isfinite(self.light)):
+        if not isinstance(self.name, str):
+            raise InputError(f"tone curve: its name is {shown(self.name)}; give text")
+        need_array(f"tone curve {self.name}", self.light, "[n]")
+        if np.ndim(self.light) != 1 or len(self.light) < 2 or not np.all(np.isfinite(self.light)):
             raise InputError(f"tone curve {self.name}: give two finite numbers or more")
         if np.any(np.diff(self.light) < 0) or self.light[0] == self.light[-1]:
             raise InputError(f"tone curve {self.name}: its light must grow with what is stored")
@@ -152,6 +160,12 @@ def parse_tone_curve(value: object) -> ToneCurve:
         f"tone_curve: {shown(value)} is none of the known curves; "
         'use "linear", "srgb", { gamma = 2.2 } or { exposure = 1.0, gamma = 2.2 }'
     )
+
+
+def _check_positive(name: str, value: object) -> None:
+    """Raise `InputError` for what is no number above 0; JAX's are taken as they are."""
+    if not isinstance(value, jax.Array):
+        _positive(name, value.item() if isinstance(value, np.generic | np.ndarray) else value)
 
 
 def _positive(name: str, number: object) -> float:

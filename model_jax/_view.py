@@ -17,6 +17,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Float
 
+from ._kinds import need
 from ._safe import safe_divide
 from ._scene import Camera, Scene
 from ._shapes import AnyArray, Scalar, namespace
@@ -104,11 +105,13 @@ class View(eqx.Module):
 
 def eye_center(scene: Scene) -> Float[AnyArray, "3"]:
     """The planet's centre in eye axes (right, up, eye depth), scene length units."""
+    need("scene", scene, Scene)
     return -scene.camera.basis() @ scene.camera.position
 
 
 def view_of(scene: Scene) -> View:
     """The view of a scene: float64 for a scene of plain numbers, traced for a traced one."""
+    need("scene", scene, Scene)
     camera, radius = scene.camera, scene.planet.radius
     center = eye_center(scene) / radius
     depth = center[2]

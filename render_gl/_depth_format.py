@@ -19,6 +19,8 @@ import numpy as np
 from jaxtyping import Float
 
 from model_jax import Encoding, InputError, Scene, eye_center
+from model_jax._errors import shown
+from model_jax._kinds import need, need_number
 
 DepthFormat = Literal["window16", "window24", "window32f", "reversed32f", "linear"]
 DEPTH_FORMATS: tuple[DepthFormat, ...] = get_args(DepthFormat)
@@ -124,6 +126,8 @@ def choose_format(scene: Scene, asked: str = "auto", share: float = SHARE) -> Ch
     Raises:
         InputError: an unknown format; one whose error would exceed the widest chord of air.
     """
+    need("scene", scene, Scene)
+    share = float(need_number("share", share))
     if asked != "auto":
         return _checked(scene, asked)
     limit = share * float(scene.atmosphere.height)
@@ -149,7 +153,7 @@ def _checked(scene: Scene, asked: str) -> Choice:
     depth_format = next((known for known in DEPTH_FORMATS if known == asked), None)
     if depth_format is None:
         raise InputError(
-            f"depth format {asked!r} is unknown; use auto or one of {', '.join(DEPTH_FORMATS)}"
+            f"depth format {shown(asked)} is unknown; use auto or one of {', '.join(DEPTH_FORMATS)}"
         )
     error, chord = width_error(scene, depth_format), widest_chord(scene)
     if STORAGE[depth_format].encoding != "linear" and not error < chord:

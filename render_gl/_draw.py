@@ -26,6 +26,8 @@ import numpy as np
 from jaxtyping import Float
 
 from model_jax import DriverError, InputError, Look, Scene, shadows_in_view, view_of
+from model_jax._errors import shown
+from model_jax._kinds import need
 from model_jax._shapes import is_traced
 from model_jax._view import Aim, ShadowCone
 
@@ -85,8 +87,10 @@ def draw(scene: Scene, look: Look, depth_format: DepthFormat, source: Source = "
     number of shadows beyond the driver's limit, unreadable maps, an unknown source, and what is
     traced.
     """
+    need("scene", scene, Scene)
+    need("look", look, Look)
     if source not in SOURCES:
-        raise InputError(f"source {source!r} is unknown; use one of {', '.join(SOURCES)}")
+        raise InputError(f"source {shown(source)} is unknown; use one of {', '.join(SOURCES)}")
     if is_traced(scene, look):
         raise InputError(
             "render: the scene or look is traced, and OpenGL draws numbers only; draw outside of "

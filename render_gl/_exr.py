@@ -26,6 +26,7 @@ import OpenEXR
 from jaxtyping import Float, Num
 
 from model_jax._errors import InputError
+from model_jax._kinds import need, need_path
 
 from ._files import PathLike, check_file, check_name, write_whole
 
@@ -117,7 +118,10 @@ def write_channels(
     Raises `InputError` for channels or attributes that EXR cannot hold, and for a file that cannot
     be written.
     """
+    need_path("path", path)
     check_name(os.path.abspath(path))
+    need("channels", channels, Mapping)
+    need("attributes", attributes, Mapping)
     header = {name: _attribute(path, name, value) for name, value in attributes.items()}
     header |= {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     shapes = {np.shape(pixels) for pixels in channels.values()}

@@ -6,11 +6,18 @@ so that a full disk or an interrupted run never leaves half a file under the fin
 
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from stat import S_ISDIR, S_ISREG
 
 from model_jax._errors import InputError
+from model_jax._kinds import need_path
+
+PNG = b"\x89PNG\r\n\x1a\n"
+JPEG = b"\xff\xd8\xff"
+TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""How files begin; BigTIFF among the last."""
 
 PathLike = str | os.PathLike[str]
 """A path as callers may give it."""
@@ -28,6 +35,7 @@ def write_whole(path: PathLike, write: Callable[[Path], None]) -> None:
     when `path` is no regular file or the disk refuses the bytes. What else `write` raises passes
     through.
     """
+    need_path("path", path)
     if not os.fspath(path):
         raise InputError("the name of the file to write is empty; name one")
     try:
@@ -70,6 +78,7 @@ def check_file(path: PathLike) -> Path:
     Raises `InputError` for a missing file, a folder, a pipe or device, a file without read
     permission and an empty file.
     """
+    need_path("path", path)
     try:
         status = os.stat(path)
         if S_ISDIR(status.st_mode):
@@ -92,8 +101,23 @@ def check_file(path: PathLike) -> Path:
     return Path(path)
 
 
+@contextmanager
+def decoding(path: Path) -> Iterator[None]:
+    """What decoders raise on damaged files, which none of them documents, as `InputError`."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise InputError(
+            f"{path}: damaged or cut off ({reason}); copy or export it again"
+        ) from error
+
+
 def check_name(path: PathLike) -> None:
     """Raise `InputError` for a path that is no text, which the OpenEXR library cannot open."""
+    need_path("path", path)
     try:
         os.fspath(path).encode("utf-8")
     except UnicodeEncodeError:

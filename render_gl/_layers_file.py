@@ -18,6 +18,8 @@ import re
 import numpy as np
 
 from model_jax import ENCODINGS, DepthTextures, Encoding, InputError, Layers, Scene
+from model_jax._errors import shown
+from model_jax._kinds import need, need_array, need_number
 from model_jax._shapes import Rgba
 
 from ._encoding import check_encoding
@@ -33,6 +35,9 @@ def write_layers(
 
     The file appears whole or not at all; raises `InputError` when it cannot be written.
     """
+    need("layers", layers, Layers)
+    if scene is not None:
+        need("scene", scene, Scene)
     channels = {"front.Z": np.asarray(layers.front), "back.Z": np.asarray(layers.back)}
     for end, depths in (("front", layers.shadow_front), ("back", layers.shadow_back)):
         if depths is not None:
@@ -65,6 +70,8 @@ def write_layers(
 
 def write_picture(path: PathLike, picture: Rgba, scene: Scene | None = None) -> None:
     """Write a picture, linear light [h, w, 4] or [h, w, 3], as float32 EXR."""
+    if scene is not None:
+        need("scene", scene, Scene)
     write_channels(path, picture_channels(picture), scene_attributes(scene) if scene else {})
 
 
@@ -88,6 +95,9 @@ def read_layers(
     Raises `InputError` for unreadable files, missing channels, impossible clip planes, and depths
     that are a sphere's, as the air's are, in another encoding and not in this one.
     """
+    for name, plane in (("near", near), ("far", far)):
+        if plane is not None:
+            need_number(name, plane)
     channels, header = read_channels(path)
     for name in ("front.Z", "back.Z"):
         if name not in channels:
@@ -101,8 +111,10 @@ def read_layers(
     if coding != "linear":
         planes = _clip_planes(path, header, coding, near, far)
         _check_windows(path, channels)
-    if not 0 < constant < np.inf:
-        raise InputError(f"{path}: the constant of logarithmic depths is {constant}; give one > 0")
+    if not 0 < need_number("constant", constant) < np.inf:
+        raise InputError(
+            f"{path}: the constant of logarithmic depths is {shown(constant)}; give one > 0"
+        )
     textures = DepthTextures(
         front=channels["front.Z"],
         back=channels["back.Z"],
@@ -148,6 +160,9 @@ def read_layers(
 
 def picture_channels(picture: Rgba) -> dict[str, np.ndarray]:
     """R, G, B (and A) channels of a picture."""
+    need_array("picture", picture, "[h, w, 3] or [h, w, 4]")
+    if picture.ndim != 3 or picture.shape[-1] not in (3, 4):
+        raise InputError(f"picture: has shape {picture.shape}; give [h, w, 3] or [h, w, 4]")
     pixels = np.asarray(picture)
     return {name: pixels[..., k] for k, name in enumerate("RGBA"[: pixels.shape[-1]])}
 

@@ -18,15 +18,12 @@ from model_jax import InputError, Planet, Srgb
 
 from ._exr import MAGIC as EXR
 from ._exr import read_channels
-from ._files import check_file
+from ._files import JPEG, PNG, TIFF, check_file, decoding
 from ._tiff import check_size, read_page
 
 MAX_PIXELS = 2**28
 """Largest map read, 32768×8192: a small damaged or hostile file can claim any size."""
 
-_PNG = b"\x89PNG\r\n\x1a\n"
-_JPEG = b"\xff\xd8\xff"
-_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _NPY = b"\x93NUMPY"
 
 
@@ -120,9 +117,9 @@ def _read(path: str) -> _Stored:
     with open(file, "rb") as stream:
         start = stream.read(8)
     readers: tuple[tuple[bytes | tuple[bytes, ...], Callable[[Path], _Stored]], ...] = (
-        (_PNG, _read_png),
-        (_JPEG, _read_jpeg),
-        (_TIFF, _read_tiff),
+        (PNG, _read_png),
+        (JPEG, _read_jpeg),
+        (TIFF, _read_tiff),
         (EXR, _read_exr),
         (_NPY, _read_npy),
     )
@@ -131,15 +128,8 @@ def _read(path: str) -> _Stored:
         raise InputError(
             f"{path}: is no PNG, JPEG, TIFF, EXR or .npy file; save it as one of these"
         )
-    try:
+    with decoding(file):
         return reader(file)
-    except InputError:
-        raise
-    except Exception as error:  # what decoders raise on damaged files is not documented
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise InputError(
-            f"{path}: damaged or cut off ({reason}); copy or export it again"
-        ) from error
 
 
 def _read_png(path: Path) -> _Stored:

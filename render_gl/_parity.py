@@ -139,7 +139,7 @@ def measure_division(scene: Scene, depth_format: DepthFormat) -> float:
     if encoding == "linear":
         return 0.0
     near, far = float(scene.camera.near), float(scene.camera.far)
-    constants = depth_constants(near, far, encoding == "reversed")
+    constants = depth_constants(near, far, encoding)
     a, b = (np.float32(number) for number in constants)
     windows = np.random.default_rng(20260101).random((PROBES, PROBES), dtype=np.float32)
     values = {

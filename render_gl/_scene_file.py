@@ -40,6 +40,7 @@ from model_jax import (
     parse_tone_curve,
 )
 from model_jax._errors import cut, shown
+from model_jax._kinds import need
 from model_jax._shapes import converter
 
 from ._files import PathLike, check_file
@@ -282,6 +283,7 @@ def _is(value: Any, kind: str) -> bool:
 
 def scene_record(scene: Scene) -> dict[str, Any]:
     """The scene as plain JSON data, with the keys of a scene file; absent tables are left out."""
+    need("scene", scene, Scene)
     return {
         name: _plain(value) for name, value in _fields(scene).items() if value not in (None, ())
     }

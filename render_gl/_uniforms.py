@@ -29,7 +29,10 @@ def uniforms_of(scene: Scene, look: Look, encoding: Encoding) -> dict[str, Any]:
         "body_depths": _body_depths(scene, near / radius - center[2]),
         "reversed_factor": near / (far - near),
         "window_factor": far / (far - near),
-        "depth_constants": depth_constants(near, far, encoding == "reversed"),
+        # Eye depths need none.
+        "depth_constants": depth_constants(
+            near, far, "window" if encoding == "linear" else encoding
+        ),
         "plane_depths": (near, far),
         "width_unit": far - near,
         "pixel_size": float(camera.pixel_size()),

@@ -26,7 +26,7 @@ def photo(layers: Layers) -> np.ndarray:
         ({"photo": 3.0}, r"photo: is of type float; give"),
         ({"photo": []}, r"got 0 photos and 1 sets of layers"),
         ({"layers": scene()}, r"layers: is a Scene; give analytic_layers\(scene\) or render_gl"),
-        ({"layers": "layers.exr"}, r"layers: is of type str; give Layers"),
+        ({"layers": "layers.exr"}, r"layers: 'layers.exr' is a path; give render_gl.read_layers"),
         ({"layers": None}, r"layers: is of type NoneType; give Layers"),
         ({"look": "look"}, r"look: is of type str; give a Look"),
         ({"response": 2.2}, r"response: is of type float; give a Response"),

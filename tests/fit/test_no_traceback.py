@@ -435,8 +435,11 @@ LINES: dict[str, tuple[tuple[str, ...], str]] = {
     "escape in a name": (("render", "scene.toml", "-o", "\x1b[31m"), r"\x1b[31m: is neither .exr"),
     "no text in a name": (("export", "\udcff", "--to", "csv"), r"\udcff: no such file"),
     "prior of no width": ((*FIT, "--prior", "brightness=3:1e-200"), "1e-200, too small"),
-    "steps beyond memory": ((*FIT, "--max-steps", str(2**31)), "must be from 1 to 1,000,000"),
-    "steps beyond JAX": ((*FIT, "--max-steps", str(10**30)), "must be from 1 to 1,000,000"),
+    "steps beyond memory": (
+        (*FIT, "--max-steps", str(2**31)),
+        "a whole number, 1 to 1,000,000",
+    ),
+    "steps beyond JAX": ((*FIT, "--max-steps", str(10**30)), "a whole number, 1 to 1,000,000"),
     "break in a name": (("export", "a\nb", "--to", "csv"), "a b: no such file"),
 }
 

@@ -96,8 +96,7 @@ def test_stored_depths_come_back_within_the_error(depth_format: DepthFormat, nea
     if storage.encoding == "linear":
         found = np.float64(np.float32(z - center)) + center
     else:
-        is_reversed = storage.encoding == "reversed"
-        a, b = depth_constants(near, far, is_reversed)
+        a, b = depth_constants(near, far, storage.encoding)
         steps = {"window16": 65535, "window24": 2**24 - 1}.get(depth_format)
         code = np.float32(b / z + a) if steps is None else np.rint((b / z + a) * steps) / steps
         stored = np.asarray(code, np.float32)

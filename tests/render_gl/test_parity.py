@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import render_gl
-from model_jax import Atmosphere, Camera, Look, Occluder, Planet, Scene, Sun, combine
+from model_jax import Atmosphere, Camera, InputError, Look, Occluder, Planet, Scene, Sun, combine
 from render_gl import _shaders
 from render_gl._draw import draw
 from render_gl._parity import Parity, compare, measure_division
@@ -156,13 +156,18 @@ def test_fault_half_pixel_shift_is_found() -> None:
     assert not with_frame(lambda d: (d + np.roll(d, 1, axis=2)) / 2).passed
 
 
-def test_fault_near_and_far_swapped_is_found() -> None:
+def test_fault_another_near_plane_is_found() -> None:
     frame = draw(FAULTY, Look(), "window24")
-    camera = FAULTY.camera
-    swapped = eqx.tree_at(
-        lambda s: (s.camera.near, s.camera.far), FAULTY, (camera.far, camera.near)
-    )
-    assert not compare(swapped, Look(), frame, "window24", 0.0).passed
+    other = eqx.tree_at(lambda s: s.camera.near, FAULTY, FAULTY.camera.near * 1.001)
+    assert not compare(other, Look(), frame, "window24", 0.0).passed
+
+
+def test_near_and_far_swapped_are_refused() -> None:
+    frame = draw(FAULTY, Look(), "window24")
+    near, far = FAULTY.camera.near, FAULTY.camera.far
+    swapped = eqx.tree_at(lambda s: (s.camera.near, s.camera.far), FAULTY, (far, near))
+    with pytest.raises(InputError, match="are no clip planes; give 0 < near < far"):
+        compare(swapped, Look(), frame, "window24", 0.0)
 
 
 @pytest.mark.parametrize(

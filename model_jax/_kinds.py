@@ -1,0 +1,95 @@
+"""What public functions were given: a slip is named, with what to give instead.
+
+Python would take a path for a row of letters, and tell of a scene file that it has no `camera`.
+"""
+
+import os
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ._errors import InputError, shown
+from ._shapes import AnyArray, Scalar, converter
+
+_LOADERS = {
+    "Scene": "render_gl.load_scene({path}).scene",
+    "Layers": "render_gl.read_layers({path})",
+}
+"""What makes such a thing of the path of a file."""
+
+_SOURCES = {
+    "Scene": "a Scene, such as render_gl.load_scene(path).scene",
+    "Layers": "Layers, from analytic_layers, render_gl.render or render_gl.read_layers",
+}
+"""What to give, where its name does not tell where it comes from."""
+
+
+def need(name: str, value: object, kind: type) -> None:
+    """Raise `InputError` unless `value`, the argument `name`, is of a kind."""
+    if isinstance(value, kind):
+        return
+    given, part = type(value).__name__, kind.__name__.lower()
+    if kind.__name__ in _LOADERS and isinstance(value, str | os.PathLike):
+        path = shown(os.fspath(value))
+        raise InputError(
+            f"{name}: {path} is a path; give {_LOADERS[kind.__name__].format(path=path)}"
+        )
+    if (given, kind.__name__) == ("Scene", "Layers"):
+        raise InputError(
+            f"{name}: is a Scene; give analytic_layers(scene) or render_gl.render(scene)"
+        )
+    if isinstance(getattr(value, part, None), kind):
+        raise InputError(f"{name}: is a {given}; give its .{part}")
+    article = "an" if kind.__name__[0] in "AEIOU" else "a"
+    source = _SOURCES.get(kind.__name__, f"{article} {kind.__name__}")
+    raise InputError(f"{name}: is of type {given}; give {source}")
+
+
+def need_path(name: str, value: object) -> str:
+    """The path as text; `InputError` for what is none."""
+    if isinstance(value, str | os.PathLike) and isinstance(path := os.fspath(value), str):
+        return path
+    raise InputError(f"{name}: is of type {type(value).__name__}; give the path of a file")
+
+
+def need_number(name: str, value: object) -> Scalar | AnyArray:
+    """The value, unless it is no single number: then `InputError`."""
+    if isinstance(value, jax.Array):
+        found: Scalar | AnyArray = value
+    else:
+        found = converter(name)(value)
+    if np.shape(found) != ():
+        raise InputError(f"{name}: {shown(value)} must be one number")
+    return found
+
+
+def need_array(name: str, value: object, form: str) -> None:
+    """Raise `InputError` for what is no array of numbers, NumPy's, JAX's or a tracer.
+
+    Args:
+        form: its shape, for the message.
+    """
+    if not isinstance(value, np.ndarray | np.generic | jax.Array | jax.ShapeDtypeStruct):
+        raise InputError(f"{name}: is of type {type(value).__name__}; give an array {form}")
+    if not (jnp.issubdtype(value.dtype, np.number) or value.dtype == np.bool_):
+        raise InputError(f"{name}: holds {value.dtype}; give an array {form} of numbers")
+
+
+def as_jax(name: str, value: object) -> jax.Array:
+    """Numbers as a JAX array, of the dtype of arrays; `InputError` for what is no number."""
+    if not isinstance(value, np.ndarray | np.generic | jax.Array):
+        value = converter(name)(value)
+    need_array(name, value, "of any shape")
+    return jnp.asarray(value)
+
+
+def need_float(name: str, value: object) -> np.dtype:
+    """The dtype; `InputError` for all but float32 and float64."""
+    for kind in (np.float32, np.float64):
+        try:
+            if value is not None and np.dtype(value) == kind:  # type: ignore[call-overload]
+                return np.dtype(kind)
+        except TypeError:
+            break
+    raise InputError(f"{name}: {shown(value)} must be float32 or float64")
