@@ -240,6 +240,28 @@ def test_curves_by_their_names() -> None:
     assert found.source == "its ICC profile 'Our own'"
 
 
+@pytest.mark.parametrize(
+    ("transfer", "light", "signal"),
+    [
+        # ITU-R BT.2408, table 1, in shares of 10,000 cd/m²: 18 % grey, reference white and others.
+        (16, 0.0026, 0.38),
+        (16, 0.0203, 0.58),
+        (16, 0.0100, 0.51),
+        (16, 0.1000, 0.75),
+        (16, 1.0, 1.0),
+        # Table 5 of ITU-R BT.2100: its two branches meet at 1/12; reference white of BT.2408.
+        (18, 1 / 12, 0.50),
+        (18, 0.265, 0.75),
+        (18, 1.0, 1.0),
+    ],
+)
+def test_curves_of_television(transfer: int, light: float, signal: float, tmp_path: Path) -> None:
+    """Tables give the signal in per cent."""
+    photo = load_photo(png(tmp_path / "a.png", (b"cICP", bytes([1, transfer, 0, 1]))))
+    assert photo.tone_curve.encode(np.array([light]))[0] == pytest.approx(signal, abs=0.005)
+    assert photo.remarks == ()
+
+
 @pytest.mark.parametrize("name", ["linear_gama.png", "linear_cicp.png", "srgb16.png"])
 def test_pngs_that_say_how_light_is_coded(name: str, data_dir: Path) -> None:
     """The first two were read as sRGB. Truth: brightness 2, shadow weight 0.3."""

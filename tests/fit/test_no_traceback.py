@@ -130,7 +130,7 @@ def examples(number: int) -> settings:
         derandomize=True,
         deadline=None,
         database=None,
-        max_examples=number * int(os.environ.get("AIRLIGHT_FUZZ", "1")),
+        max_examples=number,
         suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
     )
 
@@ -500,7 +500,8 @@ def test_a_folder_that_is_gone(files: Path) -> None:
         Path("gone").mkdir()
         os.chdir("gone")
         os.rmdir(folder / "gone")
-        check("render", "../scene.toml", "-o", "new.png", "--source", "analytic")
+        told = check("render", str(folder / "scene.toml"), "-o", "a.png", "--source", "analytic")
+        assert "'a.png': not a usable path (" in told
         os.chdir(folder)
 
 
