@@ -26,10 +26,11 @@ STEPPED = {
 """The paper's Fig. 12: where window depths are coarse, up to half the widest chord."""
 
 
-LOOSENESS = {"raster": 120, "mesh": 10}
+LOOSENESS = {"raster": 200, "mesh": 10}
 """How many times the largest error a prediction may be, over a picture of thousands of pixels. A
 ray's is a sum of some thirty roundings at their worst, all to one side, and for the widest angle in
-the picture: in practice a tenth to a hundredth of it is met."""
+the picture: in practice a tenth to a hundredth of it is met, by an NVIDIA H200, which fuses
+multiplications and additions, at least 1/159."""
 
 
 EACH_FORMAT = {"sun (1, -1, 1)", "far camera", "thin shell", "eclipse", *STEPPED}
