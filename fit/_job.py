@@ -37,7 +37,7 @@ from model_jax import (
     record,
 )
 from model_jax._shapes import AnyArray
-from render_gl._files import check_name
+from render_gl._files import check_name, path_text
 
 from ._compression import check_jpeg
 from ._fit import fit
@@ -235,15 +235,10 @@ def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> View:
         mask = mask if mask is not None else file.photo.mask
     photo = load_photo(name, curve, mask)
     if file is None:
-        return View(_text(name), photo, None, None)
+        return View(path_text(name), photo, None, None)
     height, width = photo.shape
     scene = _at_photo_size(file.scene, width, height, name)
-    return View(_text(name), photo, scene, _text(job.scenes[number]))
-
-
-def _text(name: str) -> str:
-    """A file's name as documents hold it: bytes that are no text are written as \\xff."""
-    return os.fsencode(name).decode("utf-8", "backslashreplace")
+    return View(path_text(name), photo, scene, path_text(job.scenes[number]))
 
 
 def _layers(job: Job, view: View) -> Layers:
@@ -281,13 +276,13 @@ def _document(
     return {
         "schema": 2,
         **about[0],
-        "layers": None if job.layers is None else _text(job.layers),
+        "layers": None if job.layers is None else path_text(job.layers),
         "source": job.source if job.scenes else "file",
         **made,
         "photos": photos,
         "seconds": seconds,
         "versions": versions() | ({"OpenGL": render_gl.renderer_name()} if drawn else {}),
-        "command": _text(job.command),
+        "command": path_text(job.command),
     }
 
 

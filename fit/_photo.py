@@ -134,7 +134,7 @@ def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None 
 
     `tone_curve` is a `ToneCurve` or what `parse_tone_curve` accepts; None means what the file says
     (`_colour`), else linear for EXR and float TIFF, sRGB for integer photos. `mask` names a picture
-     of the photo's size: white keeps a pixel, black leaves it out (any channel ≠ 0 keeps).
+    of the photo's size: white keeps a pixel, black leaves it out (any channel ≠ 0 keeps).
 
     Grey becomes three equal channels, alpha is dropped (also a mask's), palettes are looked up,
     EXIF orientation is applied to photo and mask. Photos that are black, white or NaN all over are

@@ -1,8 +1,8 @@
 """Errors that a user can act on.
 
 Every error that airlight raises on purpose is one line: what was wrong, its value, what to do.
-The command line turns them into that line and exit code 2; anything else is a bug and keeps its
-traceback.
+The command line turns them into that line and exit code 2; anything else is a bug, whose
+traceback it saves.
 """
 
 import reprlib

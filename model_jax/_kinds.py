@@ -4,6 +4,7 @@ Python would take a path for a row of letters, and tell of a scene file that it 
 """
 
 import os
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -76,12 +77,18 @@ def need_array(name: str, value: object, form: str) -> None:
         raise InputError(f"{name}: holds {value.dtype}; give an array {form} of numbers")
 
 
+def as_array(name: str, value: object) -> AnyArray:
+    """Numbers as an array, arrays as they are; `InputError` for what is no number."""
+    found: Any = value
+    if not isinstance(value, np.ndarray | np.generic | jax.Array):
+        found = converter(name)(value)
+    need_array(name, found, "of any shape")
+    return found
+
+
 def as_jax(name: str, value: object) -> jax.Array:
     """Numbers as a JAX array, of the dtype of arrays; `InputError` for what is no number."""
-    if not isinstance(value, np.ndarray | np.generic | jax.Array):
-        value = converter(name)(value)
-    need_array(name, value, "of any shape")
-    return jnp.asarray(value)
+    return jnp.asarray(as_array(name, value))
 
 
 def need_float(name: str, value: object) -> np.dtype:

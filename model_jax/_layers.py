@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._errors import InputError, shown
-from ._kinds import as_jax, need_array, need_number
+from ._kinds import as_jax, need, need_array, need_number
 from ._safe import is_host
 from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar, Shadows, converter
 
@@ -85,6 +85,7 @@ class Layers(eqx.Module):
 
     def rows(self, band: slice) -> "Layers":
         """The layers of some rows of the picture."""
+        need("band", band, slice)
 
         def some(part: AnyArray | None) -> AnyArray | None:
             return None if part is None else part[..., band, :]

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._errors import InputError, shown
-from ._kinds import need_array
+from ._kinds import as_array, need_array
 from ._safe import safe_power
 from ._shapes import AnyArray, Scalar, namespace
 
@@ -21,13 +21,19 @@ from ._shapes import AnyArray, Scalar, namespace
 class ToneCurve(eqx.Module):
     """What maps linear light to stored values and back."""
 
-    @abstractmethod
     def encode(self, linear: AnyArray) -> AnyArray:
-        """Stored value for linear light."""
+        """Stored value for linear light. Raises `InputError` for what is no number."""
+        return self._encode(as_array("linear", linear))
+
+    def decode(self, stored: AnyArray) -> AnyArray:
+        """Linear light for a stored value. Raises `InputError` for what is no number."""
+        return self._decode(as_array("stored", stored))
 
     @abstractmethod
-    def decode(self, stored: AnyArray) -> AnyArray:
-        """Linear light for a stored value."""
+    def _encode(self, linear: AnyArray) -> AnyArray: ...
+
+    @abstractmethod
+    def _decode(self, stored: AnyArray) -> AnyArray: ...
 
     @abstractmethod
     def describe(self) -> str | dict[str, float]:
@@ -37,10 +43,10 @@ class ToneCurve(eqx.Module):
 class Linear(ToneCurve):
     """Stored values are linear light."""
 
-    def encode(self, linear: AnyArray) -> AnyArray:
+    def _encode(self, linear: AnyArray) -> AnyArray:
         return linear
 
-    def decode(self, stored: AnyArray) -> AnyArray:
+    def _decode(self, stored: AnyArray) -> AnyArray:
         return stored
 
     def describe(self) -> str:
@@ -50,13 +56,13 @@ class Linear(ToneCurve):
 class Srgb(ToneCurve):
     """The sRGB transfer function of IEC 61966-2-1, odd-symmetric below black."""
 
-    def encode(self, linear: AnyArray) -> AnyArray:
+    def _encode(self, linear: AnyArray) -> AnyArray:
         xp = namespace(linear)
         size = xp.abs(linear)
         curved = 1.055 * safe_power(size, 1 / 2.4) - 0.055
         return xp.where(size <= 0.0031308, 12.92 * linear, xp.sign(linear) * curved)
 
-    def decode(self, stored: AnyArray) -> AnyArray:
+    def _decode(self, stored: AnyArray) -> AnyArray:
         xp = namespace(stored)
         size = xp.abs(stored)
         curved = safe_power((size + 0.055) / 1.055, 2.4)
@@ -80,11 +86,11 @@ class Exposure(ToneCurve):
         _check_positive("exposure", self.exposure)
         _check_positive("gamma", self.gamma)
 
-    def encode(self, linear: AnyArray) -> AnyArray:
+    def _encode(self, linear: AnyArray) -> AnyArray:
         xp = namespace(linear, self.exposure)
         return safe_power(-xp.expm1(-self.exposure * linear), 1 / self.gamma)
 
-    def decode(self, stored: AnyArray) -> AnyArray:
+    def _decode(self, stored: AnyArray) -> AnyArray:
         xp = namespace(stored, self.exposure)
         covered = safe_power(stored, self.gamma)
         below = covered < 1
@@ -103,11 +109,11 @@ class Power(ToneCurve):
     def __check_init__(self) -> None:
         _check_positive("gamma", self.gamma)
 
-    def encode(self, linear: AnyArray) -> AnyArray:
+    def _encode(self, linear: AnyArray) -> AnyArray:
         xp = namespace(linear, self.gamma)
         return xp.sign(linear) * safe_power(xp.abs(linear), 1 / self.gamma)
 
-    def decode(self, stored: AnyArray) -> AnyArray:
+    def _decode(self, stored: AnyArray) -> AnyArray:
         xp = namespace(stored, self.gamma)
         return xp.sign(stored) * safe_power(xp.abs(stored), self.gamma)
 
@@ -131,10 +137,10 @@ class Sampled(ToneCurve):
         if np.any(np.diff(self.light) < 0) or self.light[0] == self.light[-1]:
             raise InputError(f"tone curve {self.name}: its light must grow with what is stored")
 
-    def encode(self, linear: AnyArray) -> AnyArray:
+    def _encode(self, linear: AnyArray) -> AnyArray:
         return namespace(linear).interp(linear, self.light, np.linspace(0, 1, len(self.light)))
 
-    def decode(self, stored: AnyArray) -> AnyArray:
+    def _decode(self, stored: AnyArray) -> AnyArray:
         return namespace(stored).interp(stored, np.linspace(0, 1, len(self.light)), self.light)
 
     def describe(self) -> str:

@@ -101,6 +101,11 @@ def check_file(path: PathLike) -> Path:
     return Path(path)
 
 
+def path_text(path: PathLike) -> str:
+    """A path as messages and documents hold it: bytes that are no text are written as \\xff."""
+    return os.fsencode(path).decode("utf-8", "backslashreplace")
+
+
 @contextmanager
 def decoding(path: Path) -> Iterator[None]:
     """What decoders raise on damaged files, which none of them documents, as `InputError`."""
@@ -121,8 +126,9 @@ def check_name(path: PathLike) -> None:
     try:
         os.fspath(path).encode("utf-8")
     except UnicodeEncodeError:
-        told = os.fsencode(path).decode("utf-8", "backslashreplace")
-        raise InputError(f"{told}: is no UTF-8 text, as EXR files need; rename it") from None
+        raise InputError(
+            f"{path_text(path)}: is no UTF-8 text, as EXR files need; rename it"
+        ) from None
 
 
 def _flush(path: Path) -> None:

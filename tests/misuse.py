@@ -83,6 +83,9 @@ def right(scene: Scene) -> dict[str, Any]:
         "exposure": number,
         "name": "curve",
         "value": "srgb",
+        "band": slice(0, 2),
+        "linear": depth,
+        "stored": depth,
         "path": "layers.exr",
         "channels": {"front.Z": depth},
         "attributes": {},
@@ -102,6 +105,25 @@ def public(module: ModuleType) -> dict[str, Any]:
     }
 
 
+def methods(scene: Scene, layers: model_jax.Layers) -> dict[str, Any]:
+    """Those of records that users hold, by name."""
+    depth = np.linspace(0.1, 0.9, 12, dtype=np.float32).reshape(3, 4)
+    curves = (
+        model_jax.Srgb(),
+        model_jax.Linear(),
+        model_jax.Power(2.2),
+        model_jax.Exposure(1.0, 2.2),
+        model_jax.Sampled("curve", np.linspace(0, 1, 9)),
+    )
+    textures = model_jax.DepthTextures(depth, depth, None, None, 1.0, 2.0, "window")
+    return {
+        f"{type(record).__name__}.{name}": getattr(record, name)
+        for record in (scene, scene.camera, layers, textures, Look(), *curves)
+        for name, method in inspect.getmembers(type(record), inspect.isfunction)
+        if not name.startswith("_")
+    }
+
+
 def sweep() -> tuple[int, list[str]]:
     """How many calls were made, and those that ended in a way that helps nobody."""
     given = scene_file()
@@ -113,22 +135,24 @@ def sweep() -> tuple[int, list[str]]:
     )
     known, calls, faults = right(scene), 0, []
     wrong = ("x.exr", None, 3, object(), scene, given, Look(), known["layers"], [1, "a"], {}, b"x")
+    functions = methods(scene, known["layers"])
     for module in (model_jax, render_gl, fit):
-        for name, function in public(module).items():
-            parameters = inspect.signature(function).parameters.values()
-            required = {p.name: known[p.name] for p in parameters if p.default is p.empty}
-            for parameter in parameters:
-                for thing in wrong:
-                    calls += 1
-                    try:
-                        function(**(required | {parameter.name: thing}))
-                    except (InputError, DriverError) as error:
-                        if "\n" in str(error) or len(str(error)) > 300:
-                            faults.append(f"{name}({parameter.name}={thing!r}): long: {error}")
-                    except Exception as error:
-                        told = f"{type(error).__name__}: {error}".splitlines()[0]
-                        kind = type(thing).__name__
-                        faults.append(f"{module.__name__}.{name}({parameter.name}: {kind}): {told}")
+        functions |= {f"{module.__name__}.{name}": f for name, f in public(module).items()}
+    for name, function in functions.items():
+        parameters = inspect.signature(function).parameters.values()
+        required = {p.name: known[p.name] for p in parameters if p.default is p.empty}
+        for parameter in parameters:
+            for thing in wrong:
+                calls += 1
+                call = f"{name}({parameter.name}: {type(thing).__name__})"
+                try:
+                    function(**(required | {parameter.name: thing}))
+                except (InputError, DriverError) as error:
+                    if "\n" in str(error) or len(str(error)) > 300:
+                        faults.append(f"{call}: long: {' '.join(str(error).split())}")
+                except Exception as error:
+                    told = " ".join(str(error).split())
+                    faults.append(f"{call}: {type(error).__name__}: {told:.200}")
     return calls, faults
 
 

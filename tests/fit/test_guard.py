@@ -13,30 +13,13 @@ from PIL import Image
 import render_gl
 from fit import _guard
 from model_jax import Look, analytic_layers, composite
-
-SCENE = """
-[camera]
-position = [0.0, 0.0, 3.0]
-forward = [0.0, 0.0, -1.0]
-up = [0.0, 1.0, 0.0]
-fov_y_deg = 50.0
-width = 64
-height = 48
-near = 0.5
-far = 6.0
-[planet]
-radius = 1.0
-[atmosphere]
-height = 0.2
-[sun]
-direction = [1.0, 0.2, 0.3]
-"""
+from tests.scene_text import resized
 
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    Path("scene.toml").write_text(SCENE)
+    Path("scene.toml").write_text(resized(64, 48))
     return tmp_path
 
 

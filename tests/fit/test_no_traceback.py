@@ -21,29 +21,11 @@ from PIL import Image
 import render_gl
 from fit._cli import main
 from tests.render_gl.test_scene_file import NASTY as NASTY_TOML
+from tests.scene_text import resized
 
-SCENE = """
-[camera]
-position = [0.0, -20000.0, 6000.0]
-target = [0.0, 0.0, 0.0]
-up = [0.0, 0.0, 1.0]
-fov_y_deg = 42.0
-width = 24
-height = 16
-near = 12000.0
-far = 30000.0
-
-[planet]
-radius = 6371.0
-triangles = 2000
-
-[atmosphere]
-height = 600.0
-color = [0.3, 0.6, 1.0]
-
-[sun]
-direction = [1.0, -0.3, 0.2]
-
+SCENE = (
+    resized(24, 16)
+    + """
 [look]
 brightness = 3.0
 shadow = 0.2
@@ -53,6 +35,7 @@ background = 0.001
 [photo]
 path = "photo.png"
 """
+)
 
 FIT = ("fit", "scene.toml", "photo.png", "-o", "out", "--source", "analytic")
 FROM_LAYERS = ("fit", "--layers", "layers.exr", "photo.png", "-o", "out")

@@ -272,7 +272,7 @@ class TestUnusable:
         ("content", "fragment"),
         [
             pytest.param(b"", "is empty", id="empty"),
-            pytest.param(b"not a picture", "is no picture", id="text"),
+            pytest.param(b"not a picture", "is no picture; save", id="text"),
             pytest.param(b"\0\0\0\x18ftypheic", "HEIF", id="heic"),
             pytest.param(b"\xff\xd8\xff\xe0\0\x10JFIF", "damaged or cut off", id="jpeg-start"),
             pytest.param(b"\x89PNG\r\n\x1a\n", "damaged or cut off", id="png-start"),
