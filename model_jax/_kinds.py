@@ -91,12 +91,11 @@ def as_jax(name: str, value: object) -> jax.Array:
     return jnp.asarray(as_array(name, value))
 
 
-def need_float(name: str, value: object) -> np.dtype:
-    """The dtype; `InputError` for all but float32 and float64."""
-    for kind in (np.float32, np.float64):
-        try:
-            if value is not None and np.dtype(value) == kind:  # type: ignore[call-overload]
-                return np.dtype(kind)
-        except TypeError:
-            break
-    raise InputError(f"{name}: {shown(value)} must be float32 or float64")
+def need_float(name: str, value: Any) -> None:
+    """Raise `InputError` for a dtype other than float32 and float64."""
+    try:
+        found = None if value is None else np.dtype(value)  # NumPy takes None for float64
+    except (TypeError, ValueError, SyntaxError):
+        found = None
+    if found not in (np.float32, np.float64):
+        raise InputError(f"{name}: {shown(value)} must be float32 or float64")
