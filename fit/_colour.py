@@ -96,7 +96,11 @@ def of_jpeg(info: Mapping[Any, Any], exif: Any) -> Colours:
     details = exif.get_ifd(0x8769)
     if 0xA500 in details:
         return _said("its EXIF gamma", lambda: Colours(Power(float(details[0xA500]))))
-    if exif.get_ifd(0xA005).get(1) == "R03":
+    try:
+        rule = exif.get_ifd(0xA005).get(1)
+    except KeyError:  # Pillow before 13, where there is none
+        rule = None
+    if rule == "R03":
         # DCF 2.0 §3.4: Adobe RGB (1998), whose curve is a power of 563/256.
         told = _not_srgb("EXIF colour space", "Adobe RGB")
         return Colours(Power(563 / 256), "its EXIF colour space", (told,))

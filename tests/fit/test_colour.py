@@ -13,7 +13,7 @@ from PIL import Image, ImageCms
 
 import render_gl
 from fit import fit, load_photo
-from fit._colour import of_icc, of_png
+from fit._colour import Colours, of_icc, of_jpeg, of_png
 from model_jax import Linear, Look, Power, Sampled, Srgb, analytic_layers
 
 CODES = np.arange(256, dtype=np.uint8).reshape(16, 16)
@@ -168,13 +168,23 @@ def test_jpeg(tmp_path: Path) -> None:
         pytest.approx((128 / 255) ** 1.8, abs=1e-3), (),
     )  # fmt: skip
     exif = Image.Exif()
-    exif.get_ifd(0x8769)[0xA500] = 1.8
+    exif[0x8769] = {0xA500: 1.8}
     assert light(exif=exif) == (pytest.approx((128 / 255) ** 1.8), ())
     exif = Image.Exif()
     exif[0x8769] = {0xA001: 65535, 0xA005: {1: "R03"}}
     found, remarks = light(exif=exif)
     assert found == pytest.approx((128 / 255) ** (563 / 256))
     assert "not sRGB's but Adobe RGB" in remarks[0]
+
+
+def test_a_jpeg_that_says_nothing_read_by_an_older_pillow() -> None:
+    """Before version 13 it raised KeyError for the directory that is not there."""
+
+    class Silent:
+        def get_ifd(self, tag: int) -> dict[int, object]:
+            return {0x8769: {}}[tag]
+
+    assert of_jpeg({}, Silent()) == Colours()
 
 
 def test_grey_jpeg(tmp_path: Path) -> None:
