@@ -7,14 +7,7 @@ OpenGL:
     print(result.message, result.parameters["brightness"])
 """
 
-from ._fit import fit as fit
-from ._photo import Photo as Photo
-from ._photo import load_photo as load_photo
-from ._result import VERDICTS as VERDICTS
-from ._result import Errors as Errors
-from ._result import Estimate as Estimate
-from ._result import FitResult as FitResult
-from ._result import LeftOut as LeftOut
-from ._result import PhotoResult as PhotoResult
-from ._result import Verdict as Verdict
-from ._traced import TracedFit as TracedFit
+import lazy_loader
+
+# What `__init__.pyi` lists is imported when first used: JAX alone takes seconds.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from model_jax import InputError
+from model_jax._errors import InputError
 
 T = TypeVar("T")
 

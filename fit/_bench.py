@@ -80,9 +80,9 @@ class Row:
 
 
 def run_bench(
-    out: str, quick: bool = False, progress: Callable[[str], None] = lambda step: None
+    folder: Path, quick: bool = False, progress: Callable[[str], None] = lambda step: None
 ) -> dict[str, Any]:
-    """Measure, and write `fit-bench.csv` and `fit-bench.json` into a folder.
+    """Measure, and write `fit-bench.csv` and `fit-bench.json` into a folder that there is.
 
     Returns what the second file holds: machine, seed and rows (`Row`).
 
@@ -142,7 +142,7 @@ def run_bench(
         rows += _size_rows(repeats, progress)
         progress("13.6 megapixels, whole command")
         rows.append(_memory_row())
-    return _write(Path(out), rows, one_pass)
+    return _write(folder, rows, one_pass)
 
 
 def _scene(width: int, height: int) -> Scene:
@@ -310,6 +310,9 @@ def _copy_bandwidth(repeats: int) -> float:
     return float(2 * source.nbytes / np.median(times))
 
 
+_UNCACHED = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "false"}
+"""Of a process that is to compile its programs, whatever an earlier one has kept."""
+
 _FRESH = """
 import json, sys
 from time import perf_counter
@@ -340,6 +343,7 @@ def _compile_row(quick: bool) -> Row:
         capture_output=True,
         text=True,
         check=True,
+        env=_UNCACHED,
     )
     first, second, compiling, count = json.loads(done.stdout.splitlines()[-1])
     note = (
@@ -425,7 +429,11 @@ def _memory_row() -> Row:
         command = ["fit", f"{folder}/scene.toml", f"{folder}/photo.png", "-o", folder]
         started = perf_counter()
         done = subprocess.run(
-            [sys.executable, "-c", _WHOLE, *command], capture_output=True, text=True, check=False
+            [sys.executable, "-c", _WHOLE, *command],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=_UNCACHED,
         )
         seconds = perf_counter() - started
         if done.returncode != 0:
@@ -437,11 +445,6 @@ def _memory_row() -> Row:
 
 
 def _write(folder: Path, rows: list[Row], one_pass: dict[str, float]) -> dict[str, Any]:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made a folder ({error.strerror})") from None
-
     def write_csv(path: Path) -> None:
         with open(path, "w", newline="", encoding="utf-8") as stream:
             writer = csv.DictWriter(stream, list(Row.__dataclass_fields__))

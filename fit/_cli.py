@@ -2,6 +2,9 @@
 
 Exit codes: 0 done (and, with a warning, a fit at a bound); 1 the check failed or the fit has
 another verdict; 2 bad input, in one line on standard error with a remedy; 70 a bug (`_guard`).
+
+Nothing that computes is imported here: help, exports and wrong options have their answer before
+JAX, which takes seconds, is asked for (`_computing`).
 """
 
 import json
@@ -10,40 +13,37 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import jax
 import typer
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-import render_gl
-from model_jax import AirlightError, Encoding, InputError, Layers, Look, Scene, Srgb, composite
-from model_jax._errors import printable
+from model_jax._choices import Encoding
+from model_jax._errors import AirlightError, InputError, printable
+from render_gl._choices import DepthFormat, Source
+from render_gl._files import check_file
 
 from . import _assignments as assignments
-from ._compile import float64
-from ._compression import JpegHandling
+from ._choices import JpegHandling, LayerSource, LossName, Sampling, SolverName, check_steps
 from ._export import Format, export_text, read_fit, write_export
 from ._guard import check_devices, guard, tell
-from ._job import Job, Source, make_layers, prepare_folder, run_job, versions
-from ._pixels import Sampling
-from ._terminal import print_bench, print_check, print_fit
+from ._outputs import check_folder, prepare_folder, versions
+
+if TYPE_CHECKING:
+    from model_jax import Layers, Look, Scene
 
 app = typer.Typer(
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Render a planet's atmosphere as depth layers, and fit its look to photos.",
 )
 
 
-Depths = Literal["auto", render_gl.DepthFormat]
+Depths = Literal["auto", DepthFormat]
 
 SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
 SourceOption = Annotated[
-    Source,
+    LayerSource,
     typer.Option(
         help="Layers by OpenGL: each pixel's own ray (raster) or the paper's meshes; or by JAX."
     ),
@@ -58,8 +58,27 @@ def main() -> None:
     """Entry point of the console script: errors in one line, no traceback for a user's mistake."""
     if len(sys.argv) == 1:
         sys.argv.append("--help")
-    with guard(_command), float64():
+    with guard(_command):
         app(standalone_mode=False)
+
+
+def _print_version(asked: bool) -> bool:
+    if asked:
+        print(f"airlight {versions()['airlight']}")
+        raise typer.Exit
+    return asked
+
+
+@app.callback()
+def _airlight(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Say airlight's version."
+        ),
+    ] = False,
+) -> None:
+    """Render a planet's atmosphere as depth layers, and fit its look to photos."""
 
 
 @app.command()
@@ -76,23 +95,28 @@ def render(
     as_json: JsonOption = False,
 ) -> None:
     """Draw a scene's layers and combined picture."""
-    check_devices()
     if not out:
         raise InputError("-o: is empty; name a file, .exr or .png")
     suffix = Path(out).suffix.lower()
     if suffix not in (".exr", ".png"):
         raise InputError(f"{out}: is neither .exr (layers and picture) nor .png (picture)")
-    file = render_gl.load_scene(scene)
-    drawn = file.scene if size is None else _resized(file.scene, size)
+    pixels = None if size is None else _size(size)
+    check_file(scene)
     facts: dict[str, Any] = {"source": source}
     told: str = source
     depth_format = "linear"
-    if source != "analytic":
-        choice = render_gl.choose_format(drawn, depth)
-        depth_format = choice.depth_format
-        facts |= {"depth": depth_format, "depth_error": choice.error, "reason": choice.reason}
-        told += f", {depth_format} depths: {choice.reason}"
-    with _steps() as step:
+    with _computing() as step:
+        import render_gl
+
+        from ._job import make_layers
+
+        file = render_gl.load_scene(scene)
+        drawn = file.scene if pixels is None else _resized(file.scene, *pixels)
+        if source != "analytic":
+            choice = render_gl.choose_format(drawn, depth)
+            depth_format = choice.depth_format
+            facts |= {"depth": depth_format, "depth_error": choice.error, "reason": choice.reason}
+            told += f", {depth_format} depths: {choice.reason}"
         step("drawing")
         layers = make_layers(drawn, source, depth_format)
         picture = _picture(drawn, layers, file.look, source, depth_format)
@@ -102,11 +126,15 @@ def render(
         else:
             _write_png(out, picture)
     camera = drawn.camera
+    warnings = [] if _in_view(layers) else [NOTHING_IN_VIEW]
+    facts["warnings"] = warnings
     _say(
         as_json,
         {"out": out, "width": camera.width, "height": camera.height} | facts,
         f"{printable(out)}: {camera.width}×{camera.height}, {told}",
     )
+    for warning in warnings:
+        tell(f"warning: {warning}")
 
 
 @app.command()
@@ -136,7 +164,7 @@ def fit(
         float, typer.Option(help="With log depths: C of log(C z + 1) / log(C far + 1).")
     ] = 1.0,
     source: Annotated[
-        Source | None,
+        LayerSource | None,
         typer.Option(help="Layers by OpenGL passes (the default), or by exact intersection."),
     ] = None,
     depth: Annotated[
@@ -171,7 +199,7 @@ def fit(
         typer.Option(metavar="NAME=OTHER", help="Two parameters that shall be equal."),
     ] = None,
     loss: Annotated[
-        str, typer.Option(help="linear, or to doubt outliers: huber, soft_l1, cauchy.")
+        LossName, typer.Option(help="Least squares, or one that doubts outliers.")
     ] = "linear",
     jpeg: Annotated[
         JpegHandling,
@@ -181,9 +209,7 @@ def fit(
         Sampling,
         typer.Option(help="point: the photo is a render without antialiasing."),
     ] = "area",
-    solver: Annotated[
-        str, typer.Option(help="lm, dogleg, gauss_newton, bfgs, lbfgs or nelder_mead.")
-    ] = "lm",
+    solver: Annotated[SolverName, typer.Option(help="Of the descent.")] = "lm",
     max_steps: Annotated[int | None, typer.Option(help="Steps the solver may take.")] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -192,7 +218,6 @@ def fit(
     The look is brightness, shadow weight, tint and background. Several photos share it, and each
     has an exposure and a black level of its own instead of the background.
     """
-    check_devices()
     _check_paths(paths, layers)
     if layers is None and any(given is not None for given in (near, far, encoding)):
         raise InputError(
@@ -202,7 +227,8 @@ def fit(
         raise InputError(f"fit: --constant {constant:g} goes with --encoding log")
     if layers is not None and (source is not None or depth is not None):
         raise InputError("fit: --source and --depth draw a scene's layers; --layers has its own")
-    job = Job(
+    check_steps("max-steps", max_steps)
+    asked: dict[str, Any] = dict(  # noqa: C408 (the names of `Job`'s fields)
         photos=tuple(paths if layers is not None else paths[1::2]),
         scenes=tuple(paths[::2]) if layers is None else (),
         layers=layers,
@@ -226,12 +252,19 @@ def fit(
         max_steps=max_steps,
         command=shlex.join(["airlight", *sys.argv[1:]]),
     )
-    with _steps() as step:
-        result, document = run_job(job, out, step)
+    check_folder(out)
+    for path in (*paths, *(name for name in (layers, mask) if name is not None)):
+        check_file(path)
+    with _computing() as step:
+        from ._job import Job, run_job
+
+        result, document = run_job(Job(**asked), out, step)
     if as_json:
         print(json.dumps(document, allow_nan=False))
     else:
-        print_fit(Console(), document, out)
+        from ._terminal import print_fit
+
+        print_fit(_console(), document, out)
     if result.verdict == "at_bound":
         tell("warning: the best fit lies at a bound")
     elif result.verdict != "converged":
@@ -246,16 +279,20 @@ def check(
     ] = None,
     depth: DepthOption = "auto",
     source: Annotated[
-        render_gl.Source,
+        Source,
         typer.Option(help="Depths of each pixel's own ray, or the paper's meshes."),
     ] = "raster",
     as_json: JsonOption = False,
 ) -> None:
     """Hold the OpenGL picture against JAX on the same layers, and the layers against exact ones."""
-    check_devices()
-    file = render_gl.load_scene(scene)
-    folder = prepare_folder(out if out is not None else f"{file.path.stem}-check")
-    with _steps() as step:
+    check_file(scene)
+    if out is not None:
+        check_folder(out)
+    with _computing() as step:
+        import render_gl
+
+        file = render_gl.load_scene(scene)
+        folder = prepare_folder(out if out is not None else f"{file.path.stem}-check")
         step("drawing and comparing")
         found = render_gl.check_scene(file.scene, file.look, depth, source)
         step("writing")
@@ -268,7 +305,9 @@ def check(
     if as_json:
         print(json.dumps(found.summary() | {"out": str(folder)}, allow_nan=False))
     else:
-        print_check(Console(), found.summary(), scene, str(folder))
+        from ._terminal import print_check
+
+        print_check(_console(), found.summary(), scene, str(folder))
     if not found.passed:
         raise SystemExit(1)
 
@@ -301,34 +340,48 @@ def bench(
     as_json: JsonOption = False,
 ) -> None:
     """Measure how fast a fit is, beside SciPy and optimistix, on this machine."""
-    check_devices()
-    from ._bench import run_bench  # its peer, SciPy, is an extra
+    folder = prepare_folder(out)
+    with _computing(keep=False) as step:
+        from ._bench import run_bench
 
-    with _steps() as step:
-        document = run_bench(out, quick, step)
+        document = run_bench(folder, quick, step)
     if as_json:
         print(json.dumps(document, allow_nan=False))
     else:
-        print_bench(Console(), document, out)
+        from ._terminal import print_bench
+
+        print_bench(_console(), document, out)
 
 
 @app.command()
-def version(as_json: JsonOption = False) -> None:
-    """Versions, OpenGL renderer and JAX devices."""
+def version(
+    devices: Annotated[
+        bool, typer.Option("--devices", help="Also the OpenGL renderer and JAX's devices.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Versions of what the numbers depend on, and what computes and draws here."""
+    facts: dict[str, Any] = versions() | (_devices() if devices else {})
+    lines = [
+        f"{name:12} {value if isinstance(value, str) else ', '.join(value)}"
+        for name, value in facts.items()
+    ]
+    _say(as_json, facts, "\n".join(lines))
+
+
+def _devices() -> dict[str, Any]:
+    """What draws and what computes; why not, where there is none."""
+    import render_gl
+
     try:
         renderer = render_gl.renderer_name()
     except AirlightError as error:
         renderer = f"none ({error})"
     try:
-        check_devices()
-        devices = [str(device) for device in jax.devices()]
+        found = check_devices()
     except AirlightError as error:
-        devices = [f"none ({error})"]
-    facts: dict[str, Any] = versions() | {"OpenGL": renderer, "JAX devices": devices}
-    lines = [f"{name:12} {value}" for name, value in facts.items() if isinstance(value, str)]
-    _say(
-        as_json, facts, "\n".join([*lines, f"{'JAX devices':12} {', '.join(facts['JAX devices'])}"])
-    )
+        found = [f"none ({error})"]
+    return {"OpenGL": renderer, "JAX devices": found}
 
 
 def _command() -> str:
@@ -350,18 +403,42 @@ def _check_paths(paths: list[str], layers: str | None) -> None:
         )
 
 
-def _picture(scene: Scene, layers: Layers, look: Look, source: Source, depth_format: str) -> Any:
+def _picture(
+    scene: "Scene", layers: "Layers", look: "Look", source: LayerSource, depth_format: str
+) -> Any:
     """The picture by the source's own combine: JAX's for analytic, else the shader's."""
+    import render_gl
+    from model_jax import composite
+
     if source == "analytic":
         return composite(layers, look)
     return render_gl.render_image(scene, look, depth_format, source)
 
 
-def _resized(scene: Scene, size: str) -> Scene:
-    width, cross, height = size.lower().partition("x")
+NOTHING_IN_VIEW = (
+    "nothing is in view, neither planet nor air; check camera.position and camera.forward or target"
+)
+
+
+def _in_view(layers: "Layers") -> bool:
+    """Some pixel shows the planet, or air."""
+    import numpy as np
+
+    has_air = np.asarray(layers.back) > np.asarray(layers.front)
+    return bool(has_air.any() or (layers.planet is not None and np.any(layers.planet)))
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, cross, height = text.lower().partition("x")
     if not (cross and width.isdecimal() and height.isdecimal()):
-        raise InputError(f"--size {size}: must be WIDTHxHEIGHT in pixels, such as 640x480")
-    camera = scene.camera.resized(int(width), int(height))
+        raise InputError(f"--size {text}: must be WIDTHxHEIGHT in pixels, such as 640x480")
+    return int(width), int(height)
+
+
+def _resized(scene: "Scene", width: int, height: int) -> "Scene":
+    from model_jax import Scene
+
+    camera = scene.camera.resized(width, height)
     return Scene(camera, scene.planet, scene.atmosphere, scene.sun, scene.occluders)
 
 
@@ -369,9 +446,12 @@ def _write_png(out: str, picture: Any) -> None:
     import numpy as np
     from PIL import Image
 
+    from model_jax import Srgb
+    from render_gl import write_whole
+
     stored = np.clip(Srgb().encode(np.asarray(picture, np.float64)[..., :3]), 0.0, 1.0)
     image = Image.fromarray(np.round(stored * 255).astype(np.uint8))
-    render_gl.write_whole(out, lambda path: image.save(path, format="PNG"))
+    write_whole(out, lambda path: image.save(path, format="PNG"))
 
 
 def _tone_curve(text: str | None) -> Any:
@@ -386,14 +466,40 @@ def _tone_curve(text: str | None) -> Any:
 
 
 @contextmanager
+def _computing(keep: bool = True) -> Iterator[Any]:
+    """JAX with our settings, under a progress line that is there before JAX is.
+
+    Args:
+        keep: compiled programs for the next command.
+    """
+    with _steps() as step:
+        check_devices()
+        from ._compile import float64, keep_programs
+
+        if keep:
+            keep_programs()
+        with float64():
+            yield step
+
+
+@contextmanager
 def _steps() -> Iterator[Any]:
     """A progress line on standard error that names the step; gone when done."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     console = Console(stderr=True)
     quiet = not console.is_terminal  # a pipe or a log would get stray blank lines
     with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
         task = progress.add_task("starting", total=None)
         yield lambda text: progress.update(task, description=text)
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    return Console()
 
 
 def _say(as_json: bool, facts: dict[str, Any], text: str) -> None:

@@ -25,7 +25,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -36,7 +36,7 @@ from PIL.JpegImagePlugin import JpegImageFile
 from model_jax import Layers
 
 from ._compile import float64
-from ._parameters import Entries, Parameter, is_outside, one_of
+from ._parameters import Entries, Parameter, is_outside
 from ._photo import Jpeg, Photo, orient
 from ._pixels import (
     Columns,
@@ -51,10 +51,6 @@ from ._pixels import (
 from ._search import Problem, gauss_newton
 from ._stream import Model, Prior
 from ._uncertainty import area_of, predictions_of
-
-JpegHandling = Literal["keep", "undo"]
-"""What is done about a photo that is a JPEG: nothing but a warning, or what is described here."""
-_HANDLINGS: tuple[JpegHandling, ...] = get_args(JpegHandling)
 
 SEED = 20261123
 """Of the made-up noise, together with a photo's codes: a fit gives the same result each time, and
@@ -135,11 +131,6 @@ def is_coarse(jpeg: Jpeg) -> bool:
     """Too much was rounded away."""
     steps = np.reshape(jpeg.tables[0], (8, 8))
     return bool(np.mean([steps[place] for place in _LOW]) > COARSEST)
-
-
-def check_jpeg(name: object) -> JpegHandling:
-    """The name, if it is one; else an `InputError`."""
-    return one_of("jpeg", name, _HANDLINGS)
 
 
 def undo_compression(

@@ -13,18 +13,21 @@ import json
 import math
 import os
 import re
+import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from model_jax import PARAMETERS, RESPONSE_PARAMETERS, InputError, Look
+from model_jax._errors import InputError, shown
+from model_jax._parameter import PARAMETERS, RESPONSE_PARAMETERS
 from render_gl._files import PathLike, check_file, write_whole
 
-from ._result import VERDICTS, Verdict
+from ._verdict import VERDICTS, Verdict
+
+if TYPE_CHECKING:
+    from model_jax import Look
 
 CHANNELS = ("r", "g", "b")
 UNIFORM_TYPES = {"brightness": "float", "shadow": "vec3", "tint": "vec3", "background": "vec3"}
@@ -75,12 +78,20 @@ class Fitted:
     """Each photo, with its scene file or layer file."""
     explained: float | None
     """Share of the light's variance that the model explains."""
-    look: Look
-    """One number or three in shadow and background, as it was fitted."""
+    look_values: dict[str, float | list[float]]
+    """The look's fields; one number or three in shadow and background, as it was fitted."""
     numbers: tuple[Number, ...]
     """All parameters: look, response photo by photo, and unknown ones by name."""
     scale: tuple[Number, ...]
     """width_unit and brightness_per_length, as far as the file has them."""
+
+    @property
+    def look(self) -> "Look":
+        """The look as a record."""
+        from model_jax import Look
+
+        values: dict[str, Any] = self.look_values
+        return Look(**values)
 
     @property
     def warning(self) -> str | None:
@@ -155,18 +166,30 @@ def write_export(path: PathLike, fitted: Fitted, to: Format) -> None:
 
 
 def float_literal(value: float) -> str:
-    """The shortest GLSL literal that reads back as the float32 nearest to `value`.
+    """The GLSL literal of fewest digits that reads back as the float32 nearest to `value`.
 
     Always with a decimal point: `3` would be an int. Raises `InputError` where no finite float32 is
     near. Below 1.2e-38 in size the literal is still exact, but drivers may take it as zero.
     """
-    with np.errstate(over="ignore"):
-        number = np.float32(value)
-    if not np.isfinite(number):
+    nearest = _float32(value)
+    if not math.isfinite(nearest):
         raise InputError(f"{value!r} is beyond the float32 of shaders; choose another format")
-    if number == 0 or 1e-4 <= abs(number) < 1e7:
-        return np.format_float_positional(number, unique=True, trim="0")
-    return np.format_float_scientific(number, unique=True, trim="0")
+    # Nine digits tell any two float32 apart.
+    text = next(t for n in range(9) if _float32(float(t := f"{nearest:.{n}e}")) == nearest)
+    mantissa, exponent = text.split("e")
+    if nearest == 0 or _float32(1e-4) <= abs(nearest) < 1e7:
+        digits = len(mantissa.partition(".")[2]) - int(exponent)
+        return f"{float(text):.{max(1, digits)}f}"
+    return f"{mantissa}{'' if '.' in mantissa else '.0'}e{int(exponent):+03d}"
+
+
+def _float32(value: float) -> float:
+    """The nearest float32, infinite beyond its range."""
+    try:
+        found: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    except OverflowError:
+        return math.inf
+    return found
 
 
 # --- reading ------------------------------------------------------------------------------------
@@ -183,13 +206,13 @@ def _fitted(path: str, document: Any) -> Fitted:
             "and fit again"
         )
     numbers = {name: _number(name, entry) for name, entry in document["parameters"].items()}
-    look = _look({name: number.value for name, number in numbers.items()})
+    look_values = _look({name: number.value for name, number in numbers.items()})
     return Fitted(
         path=path,
         verdict=verdict,
         sources=tuple(_sources(document)),
         explained=_finite(document.get("explained")),
-        look=look,
+        look_values=look_values,
         numbers=tuple(sorted(numbers.values(), key=_rank)),
         scale=tuple(_scale(document)),
     )
@@ -219,10 +242,10 @@ def _number(name: str, entry: Any) -> Number:
     )
 
 
-def _look(values: dict[str, float]) -> Look:
-    """The look among the values; `Look` checks ranges and counts."""
-    found: dict[str, Any] = {}
-    for family in PARAMETERS:
+def _look(values: dict[str, float]) -> dict[str, float | list[float]]:
+    """The look among the values, once it is one that `Look` would take."""
+    found: dict[str, float | list[float]] = {}
+    for family, about in PARAMETERS.items():
         channels = [f"{family}.{channel}" for channel in CHANNELS]
         there = [name for name in (family, *channels) if name in values]
         if there == [family]:
@@ -234,10 +257,17 @@ def _look(values: dict[str, float]) -> Look:
             if family in there:
                 state = f"has {family} as one number and per channel"
             raise InputError(f"parameters: {state}; run the fit again")
-    try:
-        return Look(**found)
-    except InputError as error:
-        raise InputError(f"{error}; run the fit again") from None
+        low = [values[name] for name in there if values[name] < about.lower]
+        if low:
+            raise InputError(
+                f"look.{family}: {shown(low[0])} must be at least {about.lower:g}; run the fit "
+                "again"
+            )
+    if isinstance(found["brightness"], list) or not isinstance(found["tint"], list):
+        raise InputError(
+            "parameters: brightness must be one number, and tint three; run the fit again"
+        )
+    return found
 
 
 def _sources(document: dict[str, Any]) -> Iterator[tuple[str, str | None]]:

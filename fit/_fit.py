@@ -22,9 +22,18 @@ from model_jax._kinds import need
 from model_jax._shapes import AnyArray, is_traced
 
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
+from ._choices import (
+    JpegHandling,
+    LossName,
+    Sampling,
+    check_jpeg,
+    check_loss,
+    check_sampling,
+    check_steps,
+)
 from ._compile import float64, program
-from ._compression import JpegHandling, Undone, check_jpeg, is_coarse, undo_compression
-from ._loss import Loss, LossName, check_loss, weigh
+from ._compression import Undone, is_coarse, undo_compression
+from ._loss import Loss, weigh
 from ._memory import bound_programs, give_back
 from ._misfit import CAUSES, Doubts, find_doubts
 from ._parameters import (
@@ -46,9 +55,7 @@ from ._pixels import (
     Columns,
     PhotoLike,
     Pixels,
-    Sampling,
     as_picture,
-    check_sampling,
     choose_pixels,
     grey_spread,
     light_at,
@@ -58,20 +65,9 @@ from ._pixels import (
     take_columns,
     to_samples,
 )
-from ._result import (
-    MOST_CLIPPED,
-    STRUCTURED_PX,
-    VERDICTS,
-    WELL_EXPLAINED,
-    Errors,
-    Estimate,
-    FitResult,
-    LeftOut,
-    PhotoResult,
-    Verdict,
-)
+from ._result import Errors, Estimate, FitResult, LeftOut, PhotoResult
 from ._search import End, Problem, search, state
-from ._solve import check_steps, make_solver
+from ._solve import make_solver
 from ._stream import Model, Prior
 from ._traced import TracedFit, concrete, fit_traced
 from ._uncertainty import (
@@ -83,6 +79,7 @@ from ._uncertainty import (
     spread_of,
     width_slopes_of,
 )
+from ._verdict import MOST_CLIPPED, STRUCTURED_PX, VERDICTS, WELL_EXPLAINED, Verdict
 
 MAX_STEPS = {"nelder_mead": 4096}
 """Steps a solver is given unless told; 256 for those with derivatives."""

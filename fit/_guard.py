@@ -16,11 +16,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-import jax
 import typer
 
-from model_jax import AirlightError, DriverError
-from model_jax._errors import cut, printable
+from model_jax._errors import AirlightError, DriverError, InputError, cut, printable
 
 BAD_INPUT, BUG, STOPPED, UNREAD = 2, 70, 130, 141
 """Exit codes: bad input; a bug, as sysexits.h numbers it; interrupted, and nobody reads what is
@@ -72,10 +70,22 @@ def tell(text: str, longest: int = LONGEST_LINE) -> None:
     print(f"airlight: {cut(printable(text), longest)}", file=sys.stderr, flush=True)
 
 
-def check_devices() -> None:
-    """Raise `DriverError` where JAX finds no device to compute on, as `JAX_PLATFORMS` may say."""
+def check_devices() -> list[str]:
+    """What JAX computes on.
+
+    Raises:
+        InputError: JAX refuses to be imported with a setting that one of its variables gives.
+        DriverError: there is no device, as `JAX_PLATFORMS` may say.
+    """
     try:
-        jax.devices()
+        import jax
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"JAX refuses a setting ({reason:.200}); correct or unset that variable"
+        ) from None
+    try:
+        return [str(device) for device in jax.devices()]
     except Exception as error:  # an AssertionError, where a plug-in is missing
         reason = " ".join(str(error).split())
         asked = os.environ.get("JAX_PLATFORMS")

@@ -13,9 +13,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -37,23 +36,19 @@ from model_jax import (
     record,
 )
 from model_jax._shapes import AnyArray
-from render_gl._files import check_name, path_text
+from render_gl._files import path_text
 
-from ._compression import check_jpeg
+from ._choices import LayerSource, check_jpeg, check_loss, check_sampling, check_solver, check_steps
 from ._fit import fit
-from ._loss import check_loss
 from ._memory import give_back, map_large_blocks
+from ._outputs import prepare_folder, remove, versions, write_text
 from ._parameters import declare, to_entries, to_look, to_responses
 from ._photo import Photo, load_photo
-from ._pixels import check_sampling
 from ._report import Section, photo_section, report_html
 from ._result import FitResult
-from ._solve import check_steps, make_solver
 
-Source = Literal[render_gl.Source, "analytic"]
 FILES = ("fit.json", "report.html", "image.exr", "residual.exr", "layers.exr", "influence.exr")
 """What a fit of one photo leaves; the last only where a value was told."""
-DISTRIBUTIONS = ("airlight", "jax", "optimistix", "numpy", "moderngl", "OpenEXR")
 
 _BAND = 2**18
 """Pixels whose picture is computed at once: a few MB for each quantity on the way to it."""
@@ -74,7 +69,7 @@ class Job:
     """Of the layers' depths; None: as their file says."""
     constant: float = 1.0
     """Of logarithmic depths."""
-    source: Source = "raster"
+    source: LayerSource = "raster"
     """Where a scene's layers come from."""
     depth_format: str = "linear"
     tone_curve: str | None = None
@@ -161,7 +156,7 @@ def run_job(
     progress("writing the report")
     started = time.perf_counter()
     # An earlier fit.json would vouch for files that are now replaced one by one.
-    _remove(folder / "fit.json")
+    remove(folder / "fit.json")
     document = _document(job, views, result, seconds)
     maps = [_write_maps(folder, result, number) for number in range(len(views))]
     result = replace(result, evidence=None)  # samples and layers, as large as the photos
@@ -171,11 +166,11 @@ def run_job(
         for number, view in enumerate(views)
     ]
     page = report_html(document, sections, document["command"])
-    render_gl.write_whole(folder / "report.html", lambda path: _write_text(path, page))
+    render_gl.write_whole(folder / "report.html", lambda path: write_text(path, page))
     seconds["report"] = time.perf_counter() - started
     document["seconds"] = {name: round(value, 6) for name, value in seconds.items()}
     text = json.dumps(document, indent=2, allow_nan=False) + "\n"
-    render_gl.write_whole(folder / "fit.json", lambda path: _write_text(path, text))
+    render_gl.write_whole(folder / "fit.json", lambda path: write_text(path, text))
     return result, document
 
 
@@ -203,7 +198,7 @@ def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
     check_loss(job.loss)
     check_jpeg(job.jpeg)
     check_sampling(job.sampling)
-    make_solver(job.solver)
+    check_solver(job.solver)
     check_steps("max-steps", job.max_steps)
     if len(job.photos) > 1 and (job.mask is not None or job.tone_curve is not None):
         raise InputError(
@@ -212,16 +207,11 @@ def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
         )
 
 
-def make_layers(scene: Scene, source: Source, depth_format: str) -> Layers:
+def make_layers(scene: Scene, source: LayerSource, depth_format: str) -> Layers:
     """Layers from the rasteriser or from exact intersection (which draws no relief, no albedo)."""
     if source == "analytic":
         return analytic_layers(scene, jnp.float32)
     return render_gl.render(scene, depth_format, source)
-
-
-def versions() -> dict[str, str]:
-    """Versions of what the numbers depend on."""
-    return {name: metadata.version(name) for name in DISTRIBUTIONS}
 
 
 def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> View:
@@ -311,7 +301,7 @@ def _write_maps(folder: Path, result: FitResult, number: int) -> Maps:
     weights = result.weights(number) if result.loss != "linear" and result.evidence else None
     name = told_first(result)
     if name is None:
-        _remove(path)  # an earlier fit's
+        remove(path)  # an earlier fit's
         return Maps(None, weights)
     found = result.influence(name, number)
     channels = {channel: found[..., k] for k, channel in enumerate("RGB")}
@@ -407,35 +397,3 @@ def _predict_band(
     lit, dark = layer_widths(layers)
     shade = None if dark is None else dark > lit
     return jnp.concatenate([recorded, seen[..., 3:]], axis=-1), shade
-
-
-def prepare_folder(out: str) -> Path:
-    """The folder, made if need be; an unwritable one is found out before the work, not after."""
-    if not out:
-        raise InputError("-o: is empty; name a folder, or . for this one")
-    check_name(out)
-    folder = Path(out)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{out}: cannot be made a folder ({error.strerror}); choose another with -o"
-        ) from None
-    probe = folder / ".airlight-probe"
-    render_gl.write_whole(probe, lambda path: _write_text(path, ""))
-    probe.unlink()
-    return folder
-
-
-def _remove(path: Path) -> None:
-    """An earlier fit's file, if there is one. Raises `InputError` for a folder of that name."""
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be replaced ({error.strerror}); remove it or choose another folder"
-        ) from None
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")

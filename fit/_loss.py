@@ -11,8 +11,6 @@ A censored sample is a normal one of which only a bound is known (Tobin, Econome
 photo's highest code says "at least this bright", its lowest "at most this dark".
 """
 
-from typing import Literal, get_args
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -20,11 +18,7 @@ from jaxtyping import Float, Int
 
 from model_jax._shapes import Scalar
 
-from ._parameters import one_of
-
-LossName = Literal["linear", "huber", "soft_l1", "cauchy"]
-LOSSES: tuple[LossName, ...] = get_args(LossName)
-"""As in SciPy's `least_squares`; "linear" is plain least squares."""
+from ._choices import LossName
 
 TUNING: dict[str, float] = {"huber": 1.345, "soft_l1": 1.345, "cauchy": 2.385}
 """Residual, in standard deviations of the noise, from which a loss doubts a sample: with these
@@ -52,11 +46,6 @@ class Loss(eqx.Module):
     def width(self) -> Scalar:
         """Residual from which a robust loss doubts a sample."""
         return self.noise * TUNING.get(self.name, 1.0)
-
-
-def check_loss(name: object) -> LossName:
-    """The name, if it is one of `LOSSES`; else an `InputError`."""
-    return one_of("loss", name, LOSSES)
 
 
 def weigh(

@@ -10,7 +10,7 @@ number moves its entries together, tied parameters move together, and free tints
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -74,21 +74,6 @@ class Parameter:
     def of(self, vector: Float[np.ndarray, "e ..."]) -> Any:
         """Its number in a vector, its row in a matrix."""
         return vector[self.entries[0]]
-
-
-_Name = TypeVar("_Name", bound=str)
-
-
-def one_of(what: str, name: object, known: tuple[_Name, ...]) -> _Name:
-    """The name, if it is one of those that are known.
-
-    Raises:
-        InputError: it is not.
-    """
-    for one in known:
-        if name == one:
-            return one
-    raise InputError(f"{what}: {shown(name)} is unknown; choose from {list(known)}")
 
 
 def pairs(what: str, form: str, given: Any) -> dict[str, tuple[float, float]]:

@@ -16,8 +16,7 @@ from PIL import ExifTags, Image, ImageFile, JpegImagePlugin, UnidentifiedImageEr
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 
-from model_jax._errors import InputError
-from model_jax._kinds import need_path
+from model_jax._errors import InputError, need_path
 from model_jax._tone import Linear, Srgb, ToneCurve, parse_tone_curve
 
 from ._colour import Colours, of_exr, of_jpeg, of_png, of_tiff

@@ -9,7 +9,7 @@ import mmap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -19,17 +19,12 @@ from jaxtyping import Bool, Float, Int, Int8, UInt
 from model_jax import InputError, Layers, layer_widths
 from model_jax._shapes import AnyArray
 
+from ._choices import Sampling
 from ._compile import float64
-from ._parameters import one_of
 from ._photo import REASONS, Photo
 from ._stream import TILE, Samples, capacity
 
 PhotoLike = Photo | np.ndarray | jax.Array
-
-Sampling = Literal["area", "point"]
-"""What a pixel of a photo shows: a mean over its square, or a part of it, as a camera's or of a
-supersampled picture; or the light in its middle, as of a render without antialiasing."""
-_SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
 
 
 @dataclass(frozen=True)
@@ -140,11 +135,6 @@ LEAST_INSIDE = 0.25
 
 _ROUNDINGS = 4
 """Of depths, up to which two are one."""
-
-
-def check_sampling(name: object) -> Sampling:
-    """The name, if it is one; else an `InputError`."""
-    return one_of("sampling", name, _SAMPLINGS)
 
 
 def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area") -> Pixels:

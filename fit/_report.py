@@ -20,7 +20,7 @@ from model_jax._shapes import AnyArray, Depth, Mask, Rgb
 
 from . import _pictures as pictures
 from ._photo import Photo
-from ._result import WELL_EXPLAINED
+from ._verdict import WELL_EXPLAINED
 from ._wording import (
     SECOND_OPINIONS,
     clipped_note,

@@ -17,17 +17,17 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Float
 
-from model_jax._errors import InputError, shown
 from model_jax._shapes import AnyArray
 
 from ._bijections import to_tints, to_value
+from ._choices import SolverName, check_solver
 from ._compile import float64, program
-from ._parameters import TINT, Chart, Entries, one_of
+from ._parameters import TINT, Chart, Entries
 from ._stream import Model, Samples, compressed, gram, tile_at
 
 Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 
-_SOLVERS = {
+_SOLVERS: dict[SolverName, Any] = {
     "lm": optx.LevenbergMarquardt,
     "dogleg": optx.Dogleg,
     "gauss_newton": optx.GaussNewton,
@@ -42,9 +42,6 @@ parameters is promised."""
 
 FINISH = 1e-15
 """Of the exact Gauss–Newton steps at the end: on, until they do nothing."""
-
-MOST_STEPS = 1_000_000
-"""Most that may be asked for; each keeps a number of the descent, 8 MB in all."""
 
 
 @dataclass(frozen=True)
@@ -112,22 +109,13 @@ class Pass(eqx.Module):
         return jnp.where(jnp.isfinite(found).all(), found, jnp.inf)
 
 
-def check_steps(name: str, steps: object) -> None:
-    """Raise `InputError` for a number of steps that no descent takes; None is the solver's own."""
-    if steps is not None and not (isinstance(steps, int) and 1 <= steps <= MOST_STEPS):
-        raise InputError(
-            f"{name}: is {shown(steps)}; give a whole number, 1 to {MOST_STEPS:,}, or none"
-        )
-
-
 def make_solver(name: object, tolerance: float = TOLERANCE) -> Solver:
     """An optimistix solver by its name.
 
     Raises:
         InputError: a name that is not in the list.
     """
-    known = one_of("solver", name, tuple(_SOLVERS))
-    solver: Solver = _SOLVERS[known](rtol=tolerance, atol=tolerance)
+    solver: Solver = _SOLVERS[check_solver(name)](rtol=tolerance, atol=tolerance)
     return solver
 
 

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from model_jax._errors import printable
 
-from ._result import WELL_EXPLAINED
+from ._verdict import WELL_EXPLAINED
 from ._wording import (
     SECOND_OPINIONS,
     clipped_note,

@@ -35,10 +35,10 @@ from ._parameters import (
     settle_tint,
     to_entries,
 )
-from ._result import Verdict
 from ._solve import Atlas, Pass, make_solver, run
 from ._stream import Model, Samples, predict, tile_at, tile_slopes
 from ._uncertainty import block_numbers
+from ._verdict import Verdict
 
 SHADOWS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Shadow weights that a descent starts from; the one that ends lowest counts."""

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from model_jax import RESPONSE_PARAMETERS
+from model_jax._parameter import RESPONSE_PARAMETERS
 
 CLOSE = 0.9
 """Correlation from which two numbers are named as hard to tell apart: one direction in their plane

@@ -5,9 +5,11 @@ The command line turns them into that line and exit code 2; anything else is a b
 traceback it saves.
 """
 
+import math
+import os
 import reprlib
-
-import numpy as np
+import sys
+from typing import Any
 
 LONGEST = 80
 """Characters of a user's value or text that a message quotes; it is cut in its middle beyond."""
@@ -31,7 +33,8 @@ def shown(value: object) -> str:
     Never fails, whatever the value's size and depth: `repr` itself refuses whole numbers of more
     than 4300 digits and ends in a RecursionError for deep lists.
     """
-    if isinstance(value, np.ndarray | np.generic) and value.size <= 16:
+    numpy: Any = sys.modules.get("numpy")  # not imported for a message
+    if numpy and isinstance(value, numpy.ndarray | numpy.generic) and value.size <= 16:
         value = value.tolist()
     return cut(" ".join(_REPR.repr(value).splitlines()))
 
@@ -50,9 +53,16 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split()))
 
 
+def need_path(name: str, value: object) -> str:
+    """The path as text; `InputError` for what is none."""
+    if isinstance(value, str | os.PathLike) and isinstance(path := os.fspath(value), str):
+        return path
+    raise InputError(f"{name}: is of type {type(value).__name__}; give the path of a file")
+
+
 class _Repr(reprlib.Repr):
     def repr_int(self, x: int, level: int) -> str:
-        digits = int(x.bit_length() * np.log10(2))
+        digits = int(x.bit_length() * math.log10(2))
         return f"a number of about {digits:,} digits" if digits > LONGEST else repr(x)
 
 

@@ -47,13 +47,6 @@ def need(name: str, value: object, kind: type) -> None:
     raise InputError(f"{name}: is of type {given}; give {source}")
 
 
-def need_path(name: str, value: object) -> str:
-    """The path as text; `InputError` for what is none."""
-    if isinstance(value, str | os.PathLike) and isinstance(path := os.fspath(value), str):
-        return path
-    raise InputError(f"{name}: is of type {type(value).__name__}; give the path of a file")
-
-
 def need_number(name: str, value: object) -> Scalar | AnyArray:
     """The value, unless it is no single number: then `InputError`."""
     if isinstance(value, jax.Array):

@@ -6,22 +6,16 @@
 somebody's own renderer. What a scene does not need is absent (`None`), never zero-filled.
 """
 
-from typing import Literal, get_args
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ._choices import ENCODINGS, Encoding
 from ._errors import InputError, shown
 from ._kinds import as_jax, need, need_array, need_number
 from ._safe import is_host
 from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar, Shadows, converter
-
-Encoding = Literal["window", "reversed", "linear", "log"]
-"""What a depth texture's numbers are: window depth in [0, 1] with the near plane at 0, "reversed"
-with the near plane at 1, eye depth, or the logarithmic depth of large worlds."""
-ENCODINGS: tuple[Encoding, ...] = get_args(Encoding)
 
 
 class Layers(eqx.Module):

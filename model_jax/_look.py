@@ -5,41 +5,14 @@ shader gets them as uniforms and holds no copy. `PARAMETERS` says of each what a
 command line need to know.
 """
 
-from dataclasses import dataclass
-
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from ._errors import InputError, shown
+from ._parameter import PARAMETERS
 from ._shapes import AnyArray, Scalar, converter
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """What there is to know of a look parameter besides its value."""
-
-    meaning: str
-    unit: str
-    lower: float
-    upper: float
-    default: float
-    scale: float = 1.0
-    """Typical size, where a start of zero says nothing about it."""
-
-
-PARAMETERS: dict[str, Parameter] = {
-    "brightness": Parameter(
-        "light per width unit of lit air, times colour", "1/width_unit", 0.0, np.inf, 3.0
-    ),
-    "shadow": Parameter("light of shadowed air as a share of lit air", "1", 0.0, np.inf, 0.2),
-    "tint": Parameter("factor on the air's colour, mean 1 over the channels", "1", 0.0, 3.0, 1.0),
-    "background": Parameter(
-        "light added to every pixel", "linear light", -np.inf, np.inf, 0.0, scale=0.01
-    ),
-}
-"""Every parameter of `Look` by its field name, in the order reports show them."""
 
 
 class Look(eqx.Module):

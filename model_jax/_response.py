@@ -14,18 +14,9 @@ from jaxtyping import Float
 
 from ._errors import InputError, shown
 from ._kinds import as_jax, need
-from ._look import Parameter
+from ._parameter import RESPONSE_PARAMETERS
 from ._safe import safe_power
 from ._shapes import AnyArray, Scalar, converter
-
-RESPONSE_PARAMETERS: dict[str, Parameter] = {
-    "exposure": Parameter("factor on all light that reaches the camera", "1", 0.0, np.inf, 1.0),
-    "gamma": Parameter("exponent left after the photo's tone curve", "1", 0.1, 10.0, 1.0),
-    "black_level": Parameter(
-        "recorded value without light", "recorded light", -np.inf, np.inf, 0.0, scale=0.01
-    ),
-}
-"""Every parameter of `Response` by its field name."""
 
 
 class Response(eqx.Module):

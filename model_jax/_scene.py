@@ -16,8 +16,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ._errors import InputError, shown
-from ._kinds import need, need_path
+from ._errors import InputError, need_path, shown
+from ._kinds import need
 from ._shapes import AnyArray, Scalar, converter, namespace
 
 Vector = Float[AnyArray, "3"]

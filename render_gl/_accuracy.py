@@ -35,8 +35,8 @@ from jaxtyping import Bool, Float
 from model_jax import Layers, Planet, Scene, WidthRanges, layer_widths, width_ranges
 from model_jax._view import view_of
 
+from ._choices import Source
 from ._depth_format import EPS, DepthFormat, depth_error
-from ._draw import Source
 from ._mesh import sphere_mesh
 from ._render import render
 

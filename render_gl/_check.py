@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from model_jax import Look, Scene
 
 from ._accuracy import Accuracy, measure_accuracy
+from ._choices import Source
 from ._depth_format import Choice, choose_format
-from ._draw import Source, draw
+from ._draw import draw
 from ._parity import Parity, compare, measure_division
 
 

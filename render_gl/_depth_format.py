@@ -13,7 +13,6 @@ nearer depth.
 """
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -22,9 +21,7 @@ from model_jax import Encoding, InputError, Scene, eye_center
 from model_jax._errors import shown
 from model_jax._kinds import need, need_number
 
-DepthFormat = Literal["window16", "window24", "window32f", "reversed32f", "linear"]
-DEPTH_FORMATS: tuple[DepthFormat, ...] = get_args(DepthFormat)
-"""The cheapest first."""
+from ._choices import DEPTH_FORMATS, DepthFormat
 
 SHARE = 1e-3
 """Share of the shell's height that depths may be wrong by, unless one asks for another."""

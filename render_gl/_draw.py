@@ -19,7 +19,7 @@ numbers.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -31,8 +31,9 @@ from model_jax._kinds import need
 from model_jax._shapes import is_traced
 from model_jax._view import Aim, ShadowCone
 
+from ._choices import SOURCES, DepthFormat, Source
 from ._context import on_gl
-from ._depth_format import STORAGE, DepthFormat, Storage
+from ._depth_format import STORAGE, Storage
 from ._maps import load_albedo, relief_heights
 from ._mesh import Mesh, cone_mesh, sphere_mesh
 from ._shaders import program
@@ -57,9 +58,6 @@ COVER_TRIANGLES = 5120
 
 COVER_PIXELS = 1 / 16
 """More that it is wider: OpenGL snaps vertices to 1/16 pixel at worst (4 sub-pixel bits)."""
-
-Source = Literal["raster", "mesh"]
-SOURCES: tuple[Source, ...] = get_args(Source)
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ import numpy as np
 import OpenEXR
 from jaxtyping import Float, Num
 
-from model_jax._errors import InputError
-from model_jax._kinds import need, need_path
+from model_jax._errors import InputError, need_path
+from model_jax._kinds import need
 
 from ._files import PathLike, check_file, check_name, write_whole
 

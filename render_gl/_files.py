@@ -11,8 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from stat import S_ISDIR, S_ISREG
 
-from model_jax._errors import InputError
-from model_jax._kinds import need_path
+from model_jax._errors import InputError, need_path
 
 PNG = b"\x89PNG\r\n\x1a\n"
 JPEG = b"\xff\xd8\xff"

@@ -14,7 +14,7 @@ from model_jax._analytic import is_ahead
 from model_jax._intersect import squared_miss_distance
 from model_jax._view import pixel_grid, pixel_slopes, ray_offsets, view_of
 
-from ._draw import Source
+from ._choices import Source
 from ._maps import relief_heights
 from ._mesh import Mesh, sphere_mesh
 from ._uniforms import relief_scale

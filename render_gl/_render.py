@@ -7,8 +7,9 @@ import numpy as np
 from model_jax import DepthTextures, Layers, Look, Scene, eye_center, ray_stretch
 from model_jax._shapes import Rgba
 
+from ._choices import Source
 from ._depth_format import STORAGE, DepthFormat, choose_format
-from ._draw import Frame, Source, draw
+from ._draw import Frame, draw
 from ._mesh_error import mesh_width_error
 
 

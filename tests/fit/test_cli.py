@@ -1,6 +1,7 @@
 """The command line, as a user meets it: what it writes, prints, and says of bad input."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -165,7 +166,7 @@ def test_json_is_one_document_on_standard_output(here: Path, capsys) -> None:
     assert json.loads(capsys.readouterr().out)["verdict"] == "converged"
     assert airlight("check", "scene.toml", "--json") == 0
     assert json.loads(capsys.readouterr().out)["passed"] is True
-    assert airlight("version", "--json") == 0
+    assert airlight("version", "--devices", "--json") == 0
     assert "JAX devices" in json.loads(capsys.readouterr().out)
 
 
@@ -473,7 +474,9 @@ def test_pixels_that_are_not_numbers_are_left_out(here: Path) -> None:
 def test_console_script_is_installed() -> None:
     command = shutil.which("airlight", path=str(Path(sys.executable).parent))
     assert command is not None
-    done = subprocess.run([command, "version"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [command, "version", "--devices"], capture_output=True, text=True, check=True
+    )
     assert "OpenGL" in done.stdout
 
 
@@ -494,3 +497,17 @@ def test_the_command_line_leaves_jax_as_it_was(here: Path) -> None:
 
     assert airlight("fit", "scene.toml", "photo.png", "-o", "out") == 0
     assert not jax.config.jax_enable_x64
+
+
+def test_a_camera_that_looks_away_is_told(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A black picture came without a word."""
+    text = Path("scene.toml").read_text()
+    turned = re.sub(r"target = .*", "forward = [0.0, -1.0, 0.2]", text)
+    assert turned != text
+    Path("away.toml").write_text(turned)
+    for source in ("raster", "analytic"):
+        assert airlight("render", "away.toml", "-o", "a.exr", "--source", source) == 0
+        said = capsys.readouterr()
+        assert said.err.startswith("airlight: warning: nothing is in view"), said.err
+    assert airlight("render", "scene.toml", "-o", "a.exr", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == []

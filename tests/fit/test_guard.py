@@ -91,7 +91,10 @@ def test_faults_of_the_machine_are_named(fault: str, line: str, code: int) -> No
 
 def test_a_platform_without_a_device_is_named_before_the_work(here: Path) -> None:
     """JAX_PLATFORMS=cuda without a GPU was 106 lines."""
-    for words in (["render", "scene.toml", "-o", "a.exr"], ["fit", "scene.toml", "a", "-o", "b"]):
+    for words in (
+        ["render", "scene.toml", "-o", "a.exr"],
+        ["fit", "scene.toml", "scene.toml", "-o", "b"],
+    ):
         done = airlight(*words, JAX_PLATFORMS="cuda")
         assert (done.returncode, done.stdout) == (2, b"")
         assert done.stderr == (

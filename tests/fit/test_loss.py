@@ -8,7 +8,8 @@ from scipy.optimize import least_squares
 from scipy.special import erfcx
 from scipy.stats import norm
 
-from fit._loss import LOSSES, TUNING, Loss, check_loss, weigh
+from fit._choices import LOSSES, check_loss
+from fit._loss import TUNING, Loss, weigh
 from model_jax import InputError
 
 NOISE = 0.02

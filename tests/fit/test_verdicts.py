@@ -12,7 +12,7 @@ from PIL import Image
 from scipy.optimize import least_squares
 
 from fit import Verdict, _search, fit, load_photo
-from fit._result import VERDICTS
+from fit._verdict import VERDICTS
 from model_jax import (
     InputError,
     Layers,

@@ -8,6 +8,9 @@ PROGRAM = """
 import json, sys, jax
 before = dict(jax.config.values)
 import {packages}
+for package in ({packages},):
+    for name in dir(package):
+        getattr(package, name)
 after = dict(jax.config.values)
 changed = [name for name in after if after[name] != before.get(name)]
 print(json.dumps({{"modules": sorted(sys.modules), "changed": changed}}))

@@ -1,0 +1,11 @@
+from ._fit import fit as fit
+from ._photo import Photo as Photo
+from ._photo import load_photo as load_photo
+from ._result import Errors as Errors
+from ._result import Estimate as Estimate
+from ._result import FitResult as FitResult
+from ._result import LeftOut as LeftOut
+from ._result import PhotoResult as PhotoResult
+from ._traced import TracedFit as TracedFit
+from ._verdict import VERDICTS as VERDICTS
+from ._verdict import Verdict as Verdict

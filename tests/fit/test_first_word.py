@@ -1,0 +1,206 @@
+"""Help, versions, exports and slips of the command line are answered before JAX is imported.
+
+Counted in modules, which are the same on every machine, not in seconds.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HEAVY = {
+    "jax",
+    "numpy",
+    "scipy",
+    "matplotlib",
+    "equinox",
+    "optimistix",
+    "moderngl",
+    "PIL",
+    "jinja2",
+}
+
+MOST_MODULES = 450
+"""Of them 150 are Python's own at its start, and 280 are there once Typer has read a wrong option;
+JAX alone imports 900."""
+
+LISTING = """
+import sys
+from fit._cli import main
+sys.argv[0] = "airlight"
+try:
+    main()
+finally:
+    with open("modules.txt", "w") as file:
+        print(*sys.modules, file=file)
+"""
+
+SCENE = Path(__file__).resolve().parents[2] / "examples" / "reference.toml"
+PHOTO = SCENE.with_suffix(".png")
+
+
+def run(folder: Path, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", LISTING, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(SCENE.parents[1])} | variables,
+    )
+
+
+def document() -> dict[str, object]:
+    values = {"brightness": 3.0, "shadow": 0.2, "background": 0.0}
+    values |= {f"tint.{channel}": 1.0 for channel in "rgb"}
+    return {
+        "verdict": "converged",
+        "parameters": {name: {"value": value} for name, value in values.items()},
+    }
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["--help"], 0, "Usage: airlight"),
+        (["fit", "--help"], 0, "Usage: airlight fit"),
+        (["--version"], 0, "airlight "),
+        (["version"], 0, "optimistix"),
+        (["version", "--json"], 0, "optimistix"),
+        (["export", "fit.json", "--to", "glsl"], 0, "brightness = 3.0"),
+        (["export", "fit.json", "--to", "csv"], 0, "brightness,3.0"),
+        (["export", "fit.json", "--to", "glsl", "-o", "out.glsl"], 0, ""),
+        (["export", "none.json", "--to", "csv"], 2, "none.json: no such file"),
+        (["nonsense"], 2, "nonsense"),
+        (["fit", "--nope"], 2, "--nope"),
+        (["fit", "scene.toml", "-o", "out"], 2, "give SCENE PHOTO"),
+        (["fit", "no.toml", "no.png", "-o", "out"], 2, "no.toml: no such file"),
+        (["fit", SCENE, PHOTO, "-o", "fit.json"], 2, "cannot be made a folder"),
+        (["fit", SCENE, PHOTO, "-o", "out", "--loss", "none"], 2, "'none' is not one of"),
+        (["fit", SCENE, PHOTO, "-o", "out", "--solver", "none"], 2, "'none' is not one of"),
+        (["fit", SCENE, PHOTO, "-o", "out", "--bounds", "shadow"], 2, "must be NAME=LOW:HIGH"),
+        (["fit", SCENE, PHOTO, "-o", "out", "--max-steps", "0"], 2, "max-steps: is 0"),
+        (["fit", SCENE, PHOTO, "-o", "out", "--near", "1"], 2, "go with --layers"),
+        (["fit", SCENE, PHOTO, "-o", "out", "--tone-curve", "1,x"], 2, "EXPOSURE,GAMMA"),
+        (["render", SCENE, "-o", "picture.jpg"], 2, "neither .exr"),
+        (["render", SCENE, "-o", "picture.png", "--size", "big"], 2, "must be WIDTHxHEIGHT"),
+        (["render", "no.toml", "-o", "picture.png"], 2, "no.toml: no such file"),
+        (["check", "no.toml"], 2, "no.toml: no such file"),
+        (["check", SCENE, "-o", "fit.json"], 2, "cannot be made a folder"),
+        (["bench", "-o", "fit.json"], 2, "cannot be made a folder"),
+    ],
+    ids=lambda value: " ".join(map(str, value)) if isinstance(value, list) else None,
+)
+def test_the_first_word_needs_no_jax(
+    words: list[object], code: int, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "fit.json").write_text(json.dumps(document()))
+    done = run(tmp_path, *map(str, words))
+    assert done.returncode == code, done.stderr
+    assert said in done.stdout + done.stderr
+    modules = (tmp_path / "modules.txt").read_text().split()
+    assert not HEAVY & set(modules)
+    assert len(modules) <= MOST_MODULES
+
+
+@pytest.mark.parametrize("package", ["model_jax", "render_gl", "fit"])
+def test_importing_a_package_imports_what_is_used(package: str) -> None:
+    code = f"import sys, {package}; print(dir({package})); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    listed, modules = done.stdout.splitlines()
+    assert len(listed) > 100, "the names are known before they are imported"
+    assert not HEAVY & set(modules.split())
+
+
+def test_a_setting_that_jax_refuses_is_named(tmp_path: Path) -> None:
+    done = run(tmp_path, "render", str(SCENE), "-o", "a.png", JAX_ENABLE_X64="banana")
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "JAX refuses a setting" in line
+    assert "banana" in line
+    assert "JAX_ENABLE_X64" in line
+
+
+WATCHED = """
+import sys
+import rich.progress
+from fit._cli import main
+sys.argv[0] = "airlight"
+add_task = rich.progress.Progress.add_task
+def watch(self, description, **options):
+    with open("first.txt", "w") as file:
+        print(description, "jax" in sys.modules, file=file)
+    return add_task(self, description, **options)
+rich.progress.Progress.add_task = watch
+main()
+"""
+
+
+def test_the_progress_line_is_there_before_jax(tmp_path: Path) -> None:
+    command = ["fit", str(SCENE), str(SCENE), "-o", "out"]  # the scene is no photo
+    done = subprocess.run(
+        [sys.executable, "-c", WATCHED, *command], capture_output=True, cwd=tmp_path, check=False
+    )
+    assert done.returncode == 2
+    assert (tmp_path / "first.txt").read_text() == "starting False\n"
+
+
+# --- what is compiled once is kept --------------------------------------------------------------
+
+COUNTED = """
+import collections, sys
+import jax
+from fit._cli import main
+sys.argv[0] = "airlight"
+counts = collections.Counter()
+jax.monitoring.register_event_listener(lambda event, **_: counts.update([event]))
+try:
+    main()
+finally:
+    asked = counts["/jax/compilation_cache/compile_requests_use_cache"]
+    with open("counts.txt", "w") as file:
+        print(asked, counts["/jax/compilation_cache/cache_hits"], file=file)
+"""
+
+
+def demo(folder: Path, **variables: str) -> tuple[int, int]:
+    """`make demo`; returns how many programs it asked for, and how many of them had been kept."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
+    done = subprocess.run(
+        [sys.executable, "-c", COUNTED, "fit", SCENE, PHOTO, "-o", folder / "demo"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+        env=environment | {"XDG_CACHE_HOME": str(folder / "cache")} | variables,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    asked, kept = map(int, (folder / "counts.txt").read_text().split())
+    return asked, kept
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="XDG_CACHE_HOME is Linux's")
+def test_a_second_demo_compiles_nothing(tmp_path: Path) -> None:
+    asked, kept = demo(tmp_path)
+    assert kept < 5 < 10 < asked, "only what one command asks for twice"
+    programs = sorted((tmp_path / "cache" / "airlight" / "xla").glob("*-cache"))
+    values = json.loads((tmp_path / "demo" / "fit.json").read_text())["parameters"]
+    asked, kept = demo(tmp_path)
+    assert sorted((tmp_path / "cache" / "airlight" / "xla").glob("*-cache")) == programs, (
+        "the same programs under the same names"
+    )
+    assert json.loads((tmp_path / "demo" / "fit.json").read_text())["parameters"] == values
+    if asked and not kept:
+        pytest.skip("this processor takes no program from XLA's cache")
+    assert kept == asked
+
+
+def test_programs_are_not_kept_where_they_cannot_or_shall_not_be(tmp_path: Path) -> None:
+    (tmp_path / "cache").write_text("a file, no folder")
+    assert demo(tmp_path)[1] == 0
+    (tmp_path / "cache").unlink()
+    assert demo(tmp_path, JAX_ENABLE_COMPILATION_CACHE="false") == (0, 0)
+    assert not list((tmp_path / "cache").rglob("*-cache"))
