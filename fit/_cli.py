@@ -329,8 +329,9 @@ def export(
         print(export_text(fitted, to), end="")
     else:
         write_export(out, fitted, to)
-    if fitted.warning is not None:
-        tell(f"warning: {fitted.warning}")
+    for warning in (fitted.warning, *fitted.warnings):
+        if warning is not None:
+            tell(f"warning: {warning}")
 
 
 @app.command()

@@ -2,7 +2,8 @@
 
     fit.json ──read_fit──> Fitted ──export_text──> text
 
-The look is what a shader needs. The camera's response (exposure, gamma, black level of each photo)
+The look is what a shader needs, with the air's colour, the lengths that it refers to and the
+warnings of the fit. The camera's response (exposure, gamma, black level of each photo)
 says what a photo made of the light and is no part of it; it is written beside it and marked so, as
 is every parameter whose name this version does not know. Nothing here computes a fit or draws.
 """
@@ -14,6 +15,7 @@ import math
 import os
 import re
 import struct
+import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
@@ -32,6 +34,12 @@ if TYPE_CHECKING:
 CHANNELS = ("r", "g", "b")
 UNIFORM_TYPES = {"brightness": "float", "shadow": "vec3", "tint": "vec3", "background": "vec3"}
 """As `combine.glsl` declares them; background is the frame buffer's part there, per channel."""
+
+PATHS = {
+    "depth": "Widths of air are differences of eye depth, as in the paper.",
+    "distance": "Widths of air are lengths along the ray: eye depths times 1 / cos of its angle.",
+}
+"""What `atmosphere.path` means for a shader."""
 
 USABLE = (Verdict.CONVERGED.label, Verdict.AT_BOUND.label)
 """Verdicts whose values are the best that the photo has to say."""
@@ -82,8 +90,13 @@ class Fitted:
     """The look's fields; one number or three in shadow and background, as it was fitted."""
     numbers: tuple[Number, ...]
     """All parameters: look, response photo by photo, and unknown ones by name."""
-    scale: tuple[Number, ...]
-    """width_unit and brightness_per_length, as far as the file has them."""
+    scene: tuple[Number, ...]
+    """What the look refers to, as far as the file has it: width_unit, brightness_per_length,
+    color.r … color.a, planet_radius, atmosphere_height."""
+    atmosphere_path: str | None
+    """How widths are measured, a key of `PATHS`."""
+    warnings: tuple[str, ...]
+    """Of the fit."""
 
     @property
     def look(self) -> "Look":
@@ -128,6 +141,8 @@ def export_text(fitted: Fitted, to: Format) -> str:
 
     - glsl: `const` lines that replace the uniforms of the same names in `combine.glsl`. Each
       literal is the shortest that reads back as the float32 nearest to the value. ASCII only.
+    - glsl-uniform: declarations of the same names, with the values as comments. Both compile in
+      OpenGL from 3.3 and in OpenGL ES from 3.0, so in WebGL 2, as they are.
     - toml: a `[look]` table for a scene file; what is no look follows as comments.
     - json: one flat object: name → value and, where there is one, name.stderr → error.
     - csv: one row for each number, under a header row.
@@ -207,6 +222,7 @@ def _fitted(path: str, document: Any) -> Fitted:
         )
     numbers = {name: _number(name, entry) for name, entry in document["parameters"].items()}
     look_values = _look({name: number.value for name, number in numbers.items()})
+    warnings = document["warnings"] if isinstance(document.get("warnings"), list) else []
     return Fitted(
         path=path,
         verdict=verdict,
@@ -214,7 +230,9 @@ def _fitted(path: str, document: Any) -> Fitted:
         explained=_finite(document.get("explained")),
         look_values=look_values,
         numbers=tuple(sorted(numbers.values(), key=_rank)),
-        scale=tuple(_scale(document)),
+        scene=tuple(_scene(document)),
+        atmosphere_path=next((p for p in PATHS if p == document.get("atmosphere_path")), None),
+        warnings=tuple(text for text in warnings if isinstance(text, str)),
     )
 
 
@@ -279,13 +297,25 @@ def _sources(document: dict[str, Any]) -> Iterator[tuple[str, str | None]]:
         yield str(photo.get("photo") or "unnamed"), None if scene is None else str(scene)
 
 
-def _scale(document: dict[str, Any]) -> Iterator[Number]:
-    for name, unit, meaning in (
-        ("width_unit", "scene length", "far - near of the fit, which brightness refers to"),
-        ("brightness_per_length", "1/scene length", "brightness / width_unit"),
-    ):
-        if (value := _finite(document.get(name))) is not None:
-            yield Number(name, value, None, None, False, "", None, unit, meaning)
+def _scene(document: dict[str, Any]) -> Iterator[Number]:
+    """Lengths and the air's colour; schema 2 has them since its second version only."""
+    found: dict[str, tuple[Any, str, str]] = {
+        name: (document.get(name), unit, meaning)
+        for name, unit, meaning in (
+            ("width_unit", "scene length", "far - near of the fit, which brightness refers to"),
+            ("brightness_per_length", "1/scene length", "brightness / width_unit"),
+            ("planet_radius", "scene length", "of the planet without its air"),
+            ("atmosphere_height", "scene length", "of the shell of air above the planet"),
+        )
+    }
+    color = document.get("color")
+    for k, channel in enumerate("rgba"):
+        value = color[k] if isinstance(color, list) and len(color) == 4 else None
+        meaning = "coverage where there is air" if channel == "a" else "the air's, times tint"
+        found[f"color.{channel}"] = (value, "linear light" if channel != "a" else "1", meaning)
+    for name, (value, unit, meaning) in found.items():
+        if (number := _finite(value)) is not None:
+            yield Number(name, number, None, None, False, "", None, unit, meaning)
 
 
 def _finite(value: Any) -> float | None:
@@ -332,14 +362,20 @@ def _of(fitted: Fitted, kind: str) -> tuple[Number, ...]:
 
 def _glsl(fitted: Fitted) -> str:
     lines = [f"// {line}" for line in _heading(fitted)]
-    lines += ["// Replaces the uniforms of the same names in combine.glsl.", ""]
+    lines += ["// Replaces the uniforms of the same names in combine.glsl:"]
+    lines += ["// light = brightness * color.rgb * tint * (lit + shadow * dark) + background,"]
+    lines += ["// with lit and dark the widths of air on the ray, divided by width_unit.", ""]
     for family, shape in UNIFORM_TYPES.items():
         lines.append(_constant(family, shape, _family(fitted, family)))
+    color = tuple(number for number in fitted.scene if number.name.startswith("color."))
+    lengths = [number for number in fitted.scene if number not in color]
+    if len(color) == 4:
+        lines.append(_constant("color", "vec4", color))
     lines += [
         "",
         "// brightness is per width_unit = far - near of the fitted scene. With one of your own,",
         "// multiply brightness by your own far - near over this one's, in the same length unit.",
-        *(_constant(number.name, "float", (number,)) for number in fitted.scale),
+        *(_constant(number.name, "float", (number,)) for number in lengths),
     ]
     if response := _of(fitted, "response"):
         lines += [
@@ -355,8 +391,17 @@ def _glsl(fitted: Fitted) -> str:
 
 
 def _glsl_uniform(fitted: Fitted) -> str:
-    """The same numbers as defaults that a program may set: desktop GLSL, not that of WebGL."""
-    return re.sub("^const ", "uniform ", _glsl(fitted), flags=re.MULTILINE)
+    """The same names for a program to set, to the values in the comments: OpenGL ES knows no
+    uniforms with a default."""
+    text = re.sub(
+        r"^const (highp \w+ \w+) = (.*?);(?:  // )?(.*)$",
+        lambda found: (
+            f"uniform {found[1]};  // set to {found[2]}" + (f"; {found[3]}" if found[3] else "")
+        ),
+        _glsl(fitted),
+        flags=re.MULTILINE,
+    )
+    return text.replace("// Replaces the uniforms", "// The uniforms")
 
 
 def _unknown_constants(numbers: tuple[Number, ...]) -> Iterator[str]:
@@ -391,12 +436,13 @@ def _constant(identifier: str, shape: str, numbers: tuple[Number, ...]) -> str:
     comment = "; ".join([", ".join(about), numbers[0].meaning] if about else [numbers[0].meaning])
     # Older GLSL takes ASCII only, and a backslash at the end of a line continues the comment.
     comment = " ".join(_ascii(comment).replace("\\", "/").split()).rstrip("; ")
-    return f"const {shape} {identifier} = {value};" + (f"  // {comment}" if comment else "")
+    # OpenGL ES has no precision of its own for fragments, and the least one ends at 16,384.
+    return f"const highp {shape} {identifier} = {value};" + (f"  // {comment}" if comment else "")
 
 
 def _toml(fitted: Fitted) -> str:
     lines = [f"# {line}" for line in _heading(fitted)]
-    if unit := next((n for n in fitted.scale if n.name == "width_unit"), None):
+    if unit := next((n for n in fitted.scene if n.name == "width_unit"), None):
         lines += [
             f"# brightness is per far - near = {unit.value!r}; with another one in the scene,",
             "# multiply brightness by the scene's own far - near over this one.",
@@ -407,7 +453,7 @@ def _toml(fitted: Fitted) -> str:
         values = [repr(number.value) for number in numbers]
         value = values[0] if len(values) == 1 else f"[{', '.join(values)}]"
         lines.append(f"{family} = {value}" + _trailing(numbers))
-    if extra := (*fitted.scale, *_of(fitted, "response"), *_of(fitted, "unknown")):
+    if extra := (*fitted.scene, *_of(fitted, "response"), *_of(fitted, "unknown")):
         lines += ["", "# Not part of the look:"]
         lines += [f"# {_key(n.name)} = {n.value!r}{_trailing((n,))}" for n in extra]
     return "\n".join(lines) + "\n"
@@ -415,7 +461,11 @@ def _toml(fitted: Fitted) -> str:
 
 def _json(fitted: Fitted) -> str:
     flat: dict[str, Any] = {"verdict": fitted.verdict}
-    for number in (*fitted.numbers, *fitted.scale):
+    if fitted.warnings:
+        flat["warnings"] = " ".join(fitted.warnings)
+    if fitted.atmosphere_path is not None:
+        flat["atmosphere_path"] = fitted.atmosphere_path
+    for number in (*fitted.numbers, *fitted.scene):
         flat[number.name] = number.value
         if number.stderr is not None:
             flat[f"{number.name}.stderr"] = number.stderr
@@ -426,7 +476,7 @@ def _csv(fitted: Fitted) -> str:
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(["name", "value", "stderr", "unit", "free", "role", "initial", "verdict"])
-    for n in (*fitted.numbers, *fitted.scale):
+    for n in (*fitted.numbers, *fitted.scene):
         error, start = ("" if x is None else repr(x) for x in (n.stderr, n.initial))
         free = str(n.free).lower()
         row = [n.name, repr(n.value), error, n.unit, free, n.role, start, fitted.verdict]
@@ -452,6 +502,12 @@ def _heading(fitted: Fitted) -> Iterator[str]:
         yield f"Explains {100 * fitted.explained:.3g} % of the light's variance."
     if fitted.warning is not None:
         yield f"Take these numbers with care: {remedy}."
+    for warning in fitted.warnings:
+        # A backslash at a line's end would continue the comment.
+        text = " ".join(_ascii(f"Warning: {warning}").replace("\\", "/").split())
+        yield from textwrap.wrap(text, 96, subsequent_indent="  ")
+    if fitted.atmosphere_path is not None:
+        yield PATHS[fitted.atmosphere_path]
 
 
 def _explain(verdict: str) -> tuple[str, str]:

@@ -290,15 +290,30 @@ def _fit(task: _Task) -> FitResult:
     times.append(perf_counter())
     result = _judge(task, problem, end, pixels, left_out)
     airless = _airless(task, pixels, columns, result)
-    if airless:
-        warnings = result.warnings
-        result = _without_data(airless, task, pixels, columns, left_out)
-        message = " ".join([result.message, *warnings])
-        result = replace(result, warnings=warnings, message=message)
+    if all(airless):
+        result = _without_data(str(airless[0]), task, pixels, columns, left_out)
+    else:
+        result = _warned(
+            result,
+            [
+                f"Photo {number}: {why}. Leave it out, or check its alignment and exposure."
+                for number, why in enumerate(airless, 1)
+                if why
+            ],
+        )
     times.append(perf_counter())
     names = ("reduce", "solve", "errors")
     spans = zip(names, pairwise(times), strict=True)
     return replace(result, seconds={name: after - before for name, (before, after) in spans})
+
+
+def _warned(result: FitResult, warnings: Sequence[str]) -> FitResult:
+    """The result with more warnings."""
+    return replace(
+        result,
+        warnings=(*result.warnings, *warnings),
+        message=" ".join([result.message, *warnings]),
+    )
 
 
 @dataclass(frozen=True)
@@ -673,9 +688,8 @@ def _judge(
         second_opinion=end.second,
         evidence=evidence,
     )
-    warnings = _warnings(result, task)
     message = _message(verdict, result, [p.name for p in end.at_bound])
-    return replace(result, warnings=warnings, message=" ".join([message, *warnings]))
+    return _warned(replace(result, message=message), _warnings(result, task, residuals))
 
 
 def _grey_variance(
@@ -917,28 +931,31 @@ def _estimate(
 
 def _airless(
     task: _Task, pixels: Sequence[Pixels], columns: Sequence[Columns], result: FitResult
-) -> str | None:
-    """Why no photo shows any air, or None.
+) -> list[str | None]:
+    """Why each photo shows no air, or None.
 
     Asked only where the look leaves more of the light unexplained than `NO_BARE_LIMB`: the question
     costs up to seconds. A share that holds the planet's surface tells less, and so does the ring
     beside it: `WELL_EXPLAINED` is enough there. Edges tell a bare limb from air best and count
     here; where a look explains so much of them and of the rest, it does of all.
     """
-    if any(la.planet is None or not np.any(la.planet) for la in task.layers):
-        return None
+    found: list[str | None] = [None] * len(task.photos)
+    if not any(_shows_planet(layers) for layers in task.layers):
+        return found
     unit = float(task.layers[0].width_unit)
     beside = [
         take_columns(photo, layers, px.edges, unit)
         for photo, layers, px in zip(task.photos, task.layers, pixels, strict=True)
     ]
-    shares = zip(result.photos, _shares(beside, result), task.layers, strict=True)
-    for one, of_edges, layers in shares:
+    shares = zip(result.photos, _shares(beside, result), strict=True)
+    for number, (one, of_edges) in enumerate(shares):
+        photo, layers = task.photos[number], task.layers[number]
         enough = NO_BARE_LIMB if layers.surface is None else WELL_EXPLAINED
-        if all(share is not None and share >= enough for share in (one.explained, *of_edges)):
-            return None
-    found: list[str] = []
-    for number, (photo, layers) in enumerate(zip(task.photos, task.layers, strict=True)):
+        explained = all(
+            share is not None and share >= enough for share in (one.explained, *of_edges)
+        )
+        if explained or not _shows_planet(layers):
+            continue
         widths = []
         for of in ("lit", "dark"):
             if getattr(columns[number], of) is None:
@@ -956,14 +973,19 @@ def _airless(
             used,
             widths,
         )
-        if evidence.has_air:
-            return None
-        found.append(
-            "no atmosphere shows: the planet's bare limb, blurred by "
-            f"{evidence.bare.blur_px:.1f} px, explains the light beyond it as well "
-            f"(the shell's ΔBIC is {evidence.delta_bic:.0f}, needed are more than {EVIDENCE:.0f})"
-        )
-    return found[0]
+        if not evidence.has_air:
+            found[number] = (
+                "no atmosphere shows: the planet's bare limb, blurred by "
+                f"{evidence.bare.blur_px:.1f} px, explains the light beyond it as well "
+                f"(the shell's ΔBIC is {evidence.delta_bic:.0f}, needed are more than "
+                f"{EVIDENCE:.0f})"
+            )
+    return found
+
+
+def _shows_planet(layers: Layers) -> bool:
+    """The layers know a planet, whose limb can be held against air."""
+    return layers.planet is not None and bool(np.any(layers.planet))
 
 
 def _shares(columns: Sequence[Columns], result: FitResult) -> list[list[float | None]]:
@@ -1005,7 +1027,7 @@ def _without_data(
             pixels, columns, task.layers, to_responses(start), strict=True
         )
     ]
-    return FitResult(
+    result = FitResult(
         verdict=Verdict.NO_DATA.label,
         message=f"{sentence}: {why}. To do: {remedy}.",
         warnings=(),
@@ -1023,9 +1045,22 @@ def _without_data(
         history=(),
         second_opinion="",
     )
+    return _warned(result, _file_remarks(task))  # those of a fit would speak of what is not told
 
 
-def _warnings(result: FitResult, task: _Task) -> tuple[str, ...]:
+def _file_remarks(task: _Task) -> list[str]:
+    """What the photos' files say that was not followed."""
+    several = len(task.photos) > 1
+    return [
+        f"Photo {number}: {remark}" if several else remark
+        for number, photo in enumerate(task.photos, 1)
+        for remark in (photo.remarks if isinstance(photo, Photo) else ())
+    ]
+
+
+def _warnings(
+    result: FitResult, task: _Task, residuals: Sequence[Float[np.ndarray, "_ 3"]]
+) -> list[str]:
     found = []
     explained, errors = result.explained, result.errors
     told = [result.parameters[name] for name in result.correlation_names]
@@ -1035,25 +1070,33 @@ def _warnings(result: FitResult, task: _Task) -> tuple[str, ...]:
             "Look at what is left over: where it has structure, this look cannot follow the photo."
         )
     found += _misfit_warnings(result)
-    several = len(task.photos) > 1
-    for number, photo in enumerate(task.photos, 1):
-        remarks = photo.remarks if isinstance(photo, Photo) else ()
-        found += [f"Photo {number}: {remark}" if several else remark for remark in remarks]
+    found += _file_remarks(task)
     structured = errors is not None and errors.correlation_px > STRUCTURED_PX
     seen = undone or result.misfits or (explained or 0) >= 1 - 1e-6
     if errors is not None and structured and not seen:
-        found.append(
-            f"What is left over hangs together over {errors.correlation_px:.0f} pixels, which is "
-            "no noise: mask what is not air, or use a robust loss."
-        )
+        length = f"{errors.correlation_px:.0f} pixels"
+        told_so = f"What is left over hangs together over {length}, which is no noise"
+        if task.loss == "linear" and _sticks_out(residuals):
+            told_so += (
+                ", and a part of the pixels sticks out: mask what shows something else than air, "
+                "or use a robust loss"
+            )
+        elif (explained or 0) >= WELL_EXPLAINED:
+            told_so += ": look at where it lies in the residual picture"
+        found.append(f"{told_so}.")
     if any(photo.mix is not None for photo in result.photos):
         found.append(
             "The photo is grey: copies of a channel count once, and the look is compared by its "
             "luminance (ITU-R BT.709). What other weights would change is in brightness's interval."
         )
-    background = [e for n, e in result.parameters.items() if n.startswith("background")]
-    if any(e.stderr is not None and e.value + 3 * e.stderr < 0 for e in background):
+    negative = [n for n, e in result.parameters.items() if e.stderr and e.value + 3 * e.stderr < 0]
+    if any(name.startswith("background") for name in negative):
         found.append("The background came out negative: the model takes light away.")
+    if levels := [name for name in negative if name.startswith("black_level")]:
+        found.append(
+            f"Negative by more than three standard errors: {', '.join(levels)}. The model takes "
+            "light away there: check the photo's tone curve, or hold its black level."
+        )
     beside = [f"{n} is {e.one_sided}" for n, e in result.parameters.items() if e.one_sided]
     if beside:
         found.append(
@@ -1079,7 +1122,14 @@ def _warnings(result: FitResult, task: _Task) -> tuple[str, ...]:
             "in part: fit the picture before it was compressed, if there is one"
             + ("." if asked else ", or let its JPEG be undone (--jpeg undo).")
         )
-    return tuple(found)
+    return found
+
+
+def _sticks_out(residuals: Sequence[Float[np.ndarray, "_ 3"]]) -> bool:
+    """The root mean square is over one and a half times what the median tells of normal residuals:
+    some stick out that a mask or a robust loss can take away. Of a wave it is 0.67 times."""
+    sizes = np.abs(np.concatenate([r[np.isfinite(r)] for r in residuals]).astype(np.float64))
+    return bool(np.sqrt(np.mean(sizes**2)) > 1.5 * 1.4826 * np.median(sizes))
 
 
 def _misfit_warnings(result: FitResult) -> list[str]:

@@ -46,9 +46,11 @@ from ._parameters import declare, to_entries, to_look, to_responses
 from ._photo import Photo, load_photo
 from ._report import Section, photo_section, report_html
 from ._result import FitResult
+from ._verdict import Verdict
 
 FILES = ("fit.json", "report.html", "image.exr", "residual.exr", "layers.exr", "influence.exr")
-"""What a fit of one photo leaves; the last only where a value was told."""
+"""What a fit of one photo leaves; pictures of the fit where there is one, the last only where a
+value was told."""
 
 _BAND = 2**18
 """Pixels whose picture is computed at once: a few MB for each quantity on the way to it."""
@@ -157,7 +159,7 @@ def run_job(
     started = time.perf_counter()
     # An earlier fit.json would vouch for files that are now replaced one by one.
     remove(folder / "fit.json")
-    document = _document(job, views, result, seconds)
+    document = _document(job, views, layers, result, seconds)
     maps = [_write_maps(folder, result, number) for number in range(len(views))]
     result = replace(result, evidence=None)  # samples and layers, as large as the photos
     give_back()
@@ -246,7 +248,9 @@ def _at_photo_size(scene: Scene, width: int, height: int, photo: str) -> Scene:
     if abs(camera.width / camera.height * height - width) > 0.5:
         raise InputError(
             f"{photo}: {width}×{height} pixels have another shape than the scene's "
-            f"{camera.width}×{camera.height}; crop the photo or change camera.width and height"
+            f"{camera.width}×{camera.height}; if it is cut out of such a picture, put it back into "
+            "its place there and --mask the rest, for the camera looks through the picture's "
+            "middle; if not, give the scene that camera's width, height and fov_y_deg"
         )
     if (camera.width, camera.height) == (width, height):
         return scene
@@ -256,12 +260,16 @@ def _at_photo_size(scene: Scene, width: int, height: int, photo: str) -> Scene:
 
 
 def _document(
-    job: Job, views: Sequence[View], result: FitResult, seconds: dict[str, float]
+    job: Job,
+    views: Sequence[View],
+    layers: Sequence[Layers],
+    result: FitResult,
+    seconds: dict[str, float],
 ) -> dict[str, Any]:
     """The contents of fit.json, schema 2; what it says of a photo at the top is of the first."""
     drawn = bool(job.scenes) and job.source != "analytic"
     made = result.to_dict()
-    about = [_about(view) for view in views]
+    about = [_about(view, seen) for view, seen in zip(views, layers, strict=True)]
     photos = [facts | told for facts, told in zip(about, made["photos"], strict=True)]
     return {
         "schema": 2,
@@ -276,12 +284,18 @@ def _document(
     }
 
 
-def _about(view: View) -> dict[str, Any]:
+def _about(view: View, layers: Layers) -> dict[str, Any]:
+    """A photo, and what its layers are of: with the look all that its light is made from."""
+    scene = view.scene
     return {
         "scene": view.scene_path,
         "scene_hash": None if view.scene is None else render_gl.scene_hash(view.scene),
         "photo": view.name,
         "tone_curve": view.photo.tone_curve.describe(),
+        "color": [float(part) for part in np.asarray(layers.color)],
+        "planet_radius": None if scene is None else float(scene.planet.radius),
+        "atmosphere_height": None if scene is None else float(scene.atmosphere.height),
+        "atmosphere_path": "depth" if layers.stretch is None else "distance",
     }
 
 
@@ -322,6 +336,11 @@ def _write_photo(
     """Write the EXR files of one photo; returns its part of the report."""
     told, ending = result.photos[number], _ending(result, number)
     render_gl.write_layers(folder / f"layers{ending}", layers, view.scene)
+    if result.verdict == Verdict.NO_DATA.label:
+        for name in ("image", "residual"):  # an earlier fit's; of the start look nobody asked
+            remove(folder / f"{name}{ending}")
+        count = len(result.photos)
+        return photo_section(view.name, view.photo, None, told.used, None, count=count)
     # Brightness refers to the first photo's width unit; so must the widths.
     layers = replace(jax.tree.map(np.asarray, layers), width_unit=result.width_unit)
     planes, shadowed = predict(layers, result.look, told.response, told.mix)
@@ -335,7 +354,6 @@ def _write_photo(
         picture[..., :3],
         told.used,
         None if view.scene is None else limb_height(view.scene, np.float32),
-        view.photo.tone_curve,
         shadowed=shadowed,
         influence=maps.influence,
         weights=maps.weights,

@@ -134,7 +134,7 @@ def declare(
 
     Raises:
         InputError: an unknown name, nothing free, contradictory bounds, a prior without width, a
-            circle of ties, a start that is not a number.
+            circle of ties, a start that is not a number, bounds or a prior of what is held.
     """
     parameters = {p.name: p for p in _unchanged(look, responses)}
     names = default_free(len(responses)) if free is None else free
@@ -156,6 +156,14 @@ def declare(
                 f"bounds: {name} is held at {p.value:g}, outside {p.lower:g} to {p.upper:g}; "
                 "free it or change one of them"
             )
+    for what, keys in (("bounds", bounds or {}), ("prior", priors or {})):
+        for key in keys:
+            members = [parameters[name] for name in _expand(what, key, parameters)]
+            if all(p.role == "fixed" for p in members):
+                raise InputError(
+                    f"{what}: {key} is held at {members[0].value:g} and not fitted, so that they "
+                    f"say nothing; add it to free, or leave its {what} out"
+                )
     if not any(p.role == "free" for p in parameters.values()):
         raise InputError(f"free: names nothing to fit; choose from {_choices(parameters)}")
     return tuple(parameters.values())

@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Float
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from model_jax import ToneCurve
+from model_jax import Linear, ToneCurve
 from model_jax._shapes import AnyArray, Depth, Mask, Rgb
 
 from . import _pictures as pictures
 from ._photo import Photo
-from ._verdict import WELL_EXPLAINED
+from ._verdict import WELL_EXPLAINED, Verdict
 from ._wording import (
     SECOND_OPINIONS,
     clipped_note,
@@ -90,6 +90,7 @@ def report_html(document: dict[str, Any], sections: Sequence[Section], command: 
         stops=pictures.color_stops(pictures.RESIDUAL),
         influence_stops=pictures.color_stops(pictures.INFLUENCE),
         weight_stops=pictures.color_stops(pictures.WEIGHT),
+        fitted=verdict != Verdict.NO_DATA.label,
         parameters=[_row(name, e) for name, e in shown_parameters(document).items()],
         compressed=any(
             e.get("compression_shift") is not None for e in shown_parameters(document).values()
@@ -97,10 +98,7 @@ def report_html(document: dict[str, Any], sections: Sequence[Section], command: 
         told=_told(document),
         errors=_errors(document),
         correlation=_correlation(document.get("correlation")),
-        pairs=[
-            (a, b, f"{c:+.3f}".replace("-", "−"))
-            for a, b, c in close_pairs(document.get("correlation"))
-        ],
+        pairs=[(a, b, f"{c:+.3f}".replace("-", "−")) for a, b, c in close_pairs(document)],
         descent=_descent(document),
         times=_times(document.get("seconds") or {}),
         left_out=document.get("left_out") or [],
@@ -114,10 +112,10 @@ def report_html(document: dict[str, Any], sections: Sequence[Section], command: 
 def photo_section(
     name: str,
     photo: Rgb | Photo,
-    picture: Rgb,
+    picture: Rgb | None,
     used: Mask,
     height: Depth | None,
-    tone_curve: ToneCurve,
+    tone_curve: ToneCurve | None = None,
     *,
     shadowed: Mask | None = None,
     influence: tuple[str, Float[AnyArray, "h w"]] | None = None,
@@ -129,18 +127,29 @@ def photo_section(
     Args:
         name: the photo's path.
         photo: linear light; NaN and Inf may occur.
-        picture: what the fitted look makes of it, linear light.
+        picture: what the fitted look makes of it, linear light; None where nothing was fitted.
         used: pixels that took part in the fit.
         height: height above the limb of each pixel's line of sight, scene units; NaN where it is
             not known, None where it is known nowhere.
-        tone_curve: the photo's; photo and picture are shown through it.
+        tone_curve: photo and picture are shown through it; None: a `Photo`'s own.
         shadowed: pixels whose air is mostly in shadow; they get a limb profile of their own.
         influence: a parameter, and its derivative by each pixel's light, summed over channels.
         weights: how much a robust loss believed each pixel; None where the loss is not robust.
         count: number of photos on the page, which share its size.
     """
     light = photo if isinstance(photo, Photo) else np.asarray(photo)
-    model, mask = np.asarray(picture), np.asarray(used)
+    if tone_curve is None:
+        tone_curve = photo.tone_curve if isinstance(photo, Photo) else Linear()
+    mask = np.asarray(used)
+    if picture is None:
+        return {
+            "name": name,
+            "look": _look_at_photo(light, mask, tone_curve, count),
+            "profile": {"why": "Nothing was fitted."},
+            "influence": None,
+            "weights": None,
+        }
+    model = np.asarray(picture)
     shade = None if shadowed is None else np.asarray(shadowed)
     return {
         "name": name,
@@ -154,6 +163,8 @@ def photo_section(
 def _facts(document: dict[str, Any]) -> list[tuple[str, str]]:
     """The few numbers under the verdict."""
     pixels = document.get("pixels") or {}
+    if document.get("verdict") == Verdict.NO_DATA.label:
+        return [("pixels that could be used", _count(pixels.get("used", 0)))]
     facts = [("residual rms", number(document.get("residual_rms"), 3))]
     explained = document.get("explained")
     if explained is not None:
@@ -239,6 +250,32 @@ def _look_at(
         "size": f"{width} × {height}",
         "pixelated": width < 400,
         "any_used": bool(used.any()),
+        "fitted": True,
+    }
+
+
+def _look_at_photo(
+    photo: np.ndarray | Photo, used: np.ndarray, curve: ToneCurve, count: int
+) -> dict[str, Any]:
+    """The same of a photo that nothing was fitted to: what it shows, and which pixels are air."""
+    display = pictures.display_of(photo, curve)
+    shown = pictures.picture(photo, display, PICTURE_BYTES // count)
+    places = pictures.signed_picture(
+        np.zeros(used.shape, np.float32), used, 0.0, PICTURE_BYTES // count
+    )
+    height, width = used.shape
+    return {
+        "main": [
+            Panel("Photo", shown, "photo"),
+            Panel("Pixels that could be used", places, "which pixels could be used"),
+        ],
+        "zoom": [],
+        "note": display.note,
+        "limit": None,
+        "size": f"{width} × {height}",
+        "pixelated": width < 400,
+        "any_used": False,
+        "fitted": False,
     }
 
 
@@ -355,7 +392,7 @@ def _told(document: dict[str, Any]) -> list[tuple[str, str]]:
         ("held", "Not told: the start value stands"),
         ("fixed", "Not asked about"),
     )
-    if document.get("verdict") == "no_data":
+    if document.get("verdict") == Verdict.NO_DATA.label:
         return []
     found = [
         (text, [name for name, row in rows.items() if role_of(row) == role]) for role, text in words

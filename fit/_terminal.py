@@ -42,8 +42,9 @@ def print_fit(console: Console, document: dict[str, Any], out: str | None) -> No
     console.print(verdict.append(f"  {verdict_sentence(document)}", style="not bold default"))
     for warning in document.get("warnings") or []:
         _say(console, f"warning: {warning}", "yellow")
-    console.print(_parameters(document, console.width))
-    for first, second, correlation in close_pairs(document.get("correlation")):
+    if shown_parameters(document):
+        console.print(_parameters(document, console.width))
+    for first, second, correlation in close_pairs(document):
         size = f"correlation {correlation:+.3f}".replace("-", "−")
         _say(console, f"{first} and {second} are hard to tell apart: {size}")
     for item in document["left_out"]:

@@ -10,9 +10,15 @@ from typing import Any
 
 from model_jax._parameter import RESPONSE_PARAMETERS
 
+from ._verdict import Verdict
+
 CLOSE = 0.9
 """Correlation from which two numbers are named as hard to tell apart: one direction in their plane
 is then more than four times as uncertain as the other, √((1 + 0.9) / (1 - 0.9))."""
+
+SEEN = 1e-4
+"""Share of a value, or of its typical size, below which its error matters to nobody: a twentieth of
+half a step of 8 bits at white."""
 
 SECOND_OPINIONS = {
     "": "nothing was left to fit",
@@ -27,7 +33,10 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def shown_parameters(document: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The parameters worth a line: not those of a response that are fixed and change nothing."""
+    """The parameters worth a line: not those of a response that are fixed and change nothing, and
+    none where nothing was fitted."""
+    if document.get("verdict") == Verdict.NO_DATA.label:
+        return {}
     return {
         name: row
         for name, row in (document.get("parameters") or {}).items()
@@ -48,18 +57,30 @@ def verdict_sentence(document: Mapping[str, Any]) -> str:
     return str(document.get("message") or "").removesuffix(warnings).strip()
 
 
-def close_pairs(correlation: Mapping[str, Any] | None) -> list[tuple[str, str, float]]:
-    """Pairs of parameters whose correlation is at least `CLOSE`, the closest first."""
+def close_pairs(document: Mapping[str, Any]) -> list[tuple[str, str, float]]:
+    """Pairs of parameters whose correlation is at least `CLOSE`, the closest first; none whose
+    errors do not matter, as those of rounding after a perfect fit."""
+    correlation = document.get("correlation")
     if not correlation:
         return []
+    rows = document.get("parameters") or {}
     names, matrix = correlation["names"], correlation["matrix"]
     pairs = [
         (names[i], names[j], matrix[i][j])
         for i in range(len(names))
         for j in range(i)
         if matrix[i][j] is not None and abs(matrix[i][j]) >= CLOSE
+        if all(_matters(rows.get(names[k]) or {}) for k in (i, j))
     ]
     return [(b, a, c) for a, b, c in sorted(pairs, key=lambda pair: -abs(pair[2]))]
+
+
+def _matters(row: Mapping[str, Any]) -> bool:
+    """An error that somebody could see in a picture, or that is not known to be smaller."""
+    error, value = row.get("stderr"), row.get("value")
+    if error is None or value is None:
+        return True
+    return bool(error > SEEN * max(abs(value), row.get("scale") or 0.0))
 
 
 def measured(value: float | None, stderr: float | None) -> str:

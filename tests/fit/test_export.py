@@ -26,12 +26,13 @@ import render_gl
 from fit import fit
 from fit._cli import main
 from fit._export import Format, Number, export_text, float_literal, read_fit
-from model_jax import PARAMETERS, InputError, Look, Scene, combine, composite
+from model_jax import PARAMETERS, InputError, Look, Scene, combine, composite, layer_widths
 from render_gl import _shaders
 from render_gl._context import on_gl
 from render_gl._draw import draw
 from render_gl._parity import EPS, Parity, compare, measure_division
 from render_gl._render import frame_layers
+from tests.scene_text import resized
 
 from .looks import START, TRUTH, picture, scene
 
@@ -91,7 +92,7 @@ def airlight(*words: object) -> int:
 
 def pasted(shader: str, lines: str) -> str:
     """`combine.glsl` with exported lines in place of its uniforms of the same names and types."""
-    constants = re.findall(r"^const (\w+) (\w+) = ", lines, re.MULTILINE)
+    constants = re.findall(r"^const highp (\w+) (\w+) = ", lines, re.MULTILINE)
     kept = shader
     for shape, name in constants:
         kept = re.sub(rf"^uniform {shape} {name};.*\n", "", kept, flags=re.MULTILINE)
@@ -162,7 +163,7 @@ def test_fault_one_constant_off_by_half_a_percent_is_found(
 ) -> None:
     case = scene()
     lines = export_text(read_fit(written(document_of(ODD, 5.5))), Format.glsl)
-    line = next(line for line in lines.splitlines() if re.match(rf"const \w+ {constant} = ", line))
+    line = next(line for line in lines.splitlines() if re.match(rf"const highp \w+ {constant} = ", line))
     old = re.findall(r"-?\d+\.\d+(?:e-?\d+)?", line.split("//")[0])[-1]
     faulty = line.replace(old, float_literal(float(old) * 1.005), 1)
     assert faulty != line
@@ -330,10 +331,10 @@ def test_response_constants_are_marked_and_named_by_photo(written, monkeypatch) 
     look, response = text.split("// Camera response of each photo, not part of the look:")
     assert "exposure" not in look
     assert '//   2: "b.png" with "b.toml"' in look
-    names = re.findall(r"const (\w+ \w+) =", response.split("does not know")[0])
+    names = re.findall(r"const highp (\w+ \w+) =", response.split("does not know")[0])
     assert names == [f"float {n}_{k}" for k in "12" for n in ("exposure", "gamma", "black_level")]
-    assert "const float gamma_2 = 2.2;  // tied to gamma.1" in response
-    assert "const vec3 fit_halo = vec3(0.5, 0.25, 0.125);" in response
+    assert "const highp float gamma_2 = 2.2;  // tied to gamma.1" in response
+    assert "const highp vec3 fit_halo = vec3(0.5, 0.25, 0.125);" in response
     # The whole of it compiles, and the extra lines change nothing.
     assert drawn(scene(), text, ODD, "linear", monkeypatch).passed
 
@@ -345,35 +346,120 @@ def test_glsl_says_where_numbers_come_from_and_what_they_are(written) -> None:
     text = export_text(read_fit(written(document)), Format.glsl)
     assert text.startswith('// Look of the air, fitted by airlight to "limb.png" with "limb.toml".')
     assert "// Verdict: converged.\n// Explains 98.8 % of the light's variance." in text
-    assert "const float brightness = 3.0;  // 1/width_unit, +- 0.012; light per width" in text
-    assert "const vec3 shadow = vec3(0.2);  // +- 0.01; light of shadowed air" in text
+    assert "const highp float brightness = 3.0;  // 1/width_unit, +- 0.012; light per width" in text
+    assert "const highp vec3 shadow = vec3(0.2);  // +- 0.01; light of shadowed air" in text
     assert "not told by the photo, start value" in text
     assert "multiply brightness by your own far - near over this one's" in text
-    assert "const float width_unit = 5.5;" in text
+    assert "const highp float width_unit = 5.5;" in text
 
 
-def test_uniforms_have_the_constants_as_defaults(written) -> None:
-    """The same lines but for one word; the driver reads each default as the same float32."""
-    fitted = read_fit(written(document_of(ODD, 5.5)))
-    lines = export_text(fitted, Format.glsl_uniform)
-    assert re.sub("^uniform ", "const ", lines, flags=re.M) == export_text(fitted, Format.glsl)
-    vertex = f"""#version 330
+VERSIONS = {"OpenGL 3.3": "#version 330", "OpenGL ES 3.0": "#version 300 es"}
+SCENE_FACTS = {
+    "color": [0.175, 0.408, 1.0, 0.9],
+    "planet_radius": 6371.0,
+    "atmosphere_height": 60.0,
+    "atmosphere_path": "depth",
+}
+
+
+@pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
+@pytest.mark.parametrize("to", [Format.glsl, Format.glsl_uniform])
+def test_both_forms_compile_as_they_are_and_hold_the_numbers(written, to, version) -> None:
+    """By the driver's compiler; what a fragment reads is the float32 nearest to each value."""
+    document = document_of(ODD, 12950.0, brightness_per_length=1e-5, **SCENE_FACTS)
+    lines = export_text(read_fit(written(document)), to)
+    vertex = f"""{version}
+        in vec2 place;
+        void main() {{ gl_Position = vec4(place, 0.0, 1.0); }}"""
+    fragment = f"""{version}
         {lines}
+        layout(location = 0) out highp vec4 look;
+        layout(location = 1) out highp vec4 air;
+        layout(location = 2) out highp vec4 lengths;
         void main() {{
-            vec3 all = shadow + tint + background;
-            gl_Position = vec4(all, brightness + width_unit);
+            look = vec4(shadow.z, tint.x, background.x, brightness);
+            air = color;
+            lengths = vec4(width_unit, brightness_per_length, planet_radius, atmosphere_height);
         }}"""
-    names = ("brightness", "width_unit", "shadow", "tint", "background")
+    told = dict(re.findall(r"^uniform highp \w+ (\w+);  // set to (.*?)(?:;|$)", lines, re.M))
+    assert (to == Format.glsl) == (not told)
+    assert "=" not in re.sub("//.*", "", lines) or to == Format.glsl, "no initialisers"
 
-    def defaults(context) -> dict[str, object]:
-        shader = context.program(vertex_shader=vertex)
-        return {name: shader[name].value for name in names}
+    def draw_one(context) -> list[np.ndarray]:
+        context.enable_only(0)
+        shader = context.program(vertex_shader=vertex, fragment_shader=fragment)
+        for name, text in told.items():
+            values = [
+                float(number) for number in re.findall(r"-?[\d.]+(?:e[-+]\d+)?(?=[,)]|$)", text)
+            ]
+            shape = shader[name].dimension
+            values = values * shape if len(values) == 1 else values  # vec3(x) is x three times
+            shader[name].value = values[0] if shape == 1 else tuple(values)
+        targets = [context.texture((1, 1), 4, dtype="f4") for _ in range(3)]
+        context.framebuffer(targets).use()
+        corners = context.buffer(np.array([-1, -1, 3, -1, -1, 3], np.float32).tobytes())
+        context.vertex_array(shader, [(corners, "2f", "place")]).render()
+        return [np.frombuffer(target.read(), np.float32) for target in targets]
 
-    found = on_gl(defaults)
-    assert np.float32(found["brightness"]) == np.float32(ODD.brightness)
-    assert found["width_unit"] == 5.5
-    for name in ("shadow", "tint", "background"):
-        np.testing.assert_array_equal(np.float32(found[name]), np.float32(getattr(ODD, name)))
+    look, air, lengths = on_gl(draw_one)
+    shadow, tint, background = (np.asarray(x) for x in (ODD.shadow, ODD.tint, ODD.background))
+    wanted = [shadow[2], tint[0], background[0], ODD.brightness]
+    np.testing.assert_array_equal(look, np.float32(wanted))
+    np.testing.assert_array_equal(air, np.float32(SCENE_FACTS["color"]))
+    np.testing.assert_array_equal(lengths, np.float32([12950.0, 1e-5, 6371.0, 60.0]))
+
+
+@pytest.mark.parametrize("to", list(Format))
+def test_what_the_look_refers_to_is_there(written, to: Format) -> None:
+    document = document_of(ODD, 12950.0, **SCENE_FACTS)
+    text = export_text(read_fit(written(document)), to)
+    for number in ("0.175", "0.408", "0.9", "6371.0", "60.0", "12950.0"):
+        assert number in text
+    if to != Format.csv:
+        assert ("depth" if to == Format.json else "differences of eye depth") in text
+
+
+@pytest.mark.parametrize("to", [Format.glsl, Format.glsl_uniform, Format.toml, Format.json])
+def test_warnings_of_the_fit_are_in_the_export(written, capsys, to: Format) -> None:
+    """A background below zero went into shaders without its warning."""
+    warning = "The background came out negative: the model takes light away. \u2264 \\"
+    path = written(document_of(ODD, warnings=[warning, 3]))
+    text = export_text(read_fit(path), to)
+    text.encode("ascii")
+    words = " ".join(re.sub(r"^(//|#)", "", line) for line in text.splitlines())
+    assert "The background came out negative: the model takes light" in " ".join(words.split())
+    assert not any(line.endswith("\\") for line in text.splitlines())
+    assert airlight("export", path, "--to", to.value) == 0
+    assert "warning: The background came out negative" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("path", ["depth", "distance"])
+def test_the_light_can_be_rebuilt_from_an_export(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys, path: str
+) -> None:
+    """From the flat JSON and the widths of the layers alone."""
+    monkeypatch.chdir(tmp_path)
+    air = f'[atmosphere]\npath = "{path}"\n'
+    Path("scene.toml").write_text(resized(80, 60).replace("[atmosphere]\n", air))
+    assert airlight("render", "scene.toml", "-o", "photo.png") == 0
+    assert airlight("fit", "scene.toml", "photo.png", "-o", "out") == 0
+    capsys.readouterr()
+    assert airlight("export", "out/fit.json", "--to", "json") == 0
+    look = json.loads(capsys.readouterr().out)
+    assert look["atmosphere_path"] == path
+    assert (look["planet_radius"], look["atmosphere_height"]) == (6371.0, 600.0)
+    lit, dark = layer_widths(render_gl.read_layers("out/layers.exr"))
+    shown, _ = render_gl.read_channels("out/image.exr")
+    for channel in "rgb":
+        rebuilt = (
+            look["brightness"]
+            * look[f"color.{channel}"]
+            * look[f"tint.{channel}"]
+            * (np.asarray(lit) + look["shadow"] * np.asarray(dark))
+            + look["background"]
+        )
+        # Ten roundings of float32 in a product and a sum of numbers of one sign.
+        np.testing.assert_allclose(rebuilt, shown[channel.upper()], rtol=10 * 6e-8, atol=1e-9)
 
 
 def test_schema_1_is_read(written) -> None:
@@ -383,7 +469,7 @@ def test_schema_1_is_read(written) -> None:
     shadow = next(number for number in found.numbers if number.name == "shadow")
     assert isinstance(shadow, Number)
     assert (shadow.role, shadow.meaning) == ("fixed", PARAMETERS["shadow"].meaning)
-    assert found.scale == ()
+    assert found.scene == ()
 
 
 # --- the command --------------------------------------------------------------------------------

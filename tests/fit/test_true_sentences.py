@@ -1,0 +1,233 @@
+"""Sentences that trials as a new user found false, or missing: each is true now."""
+
+import json
+import sys
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fit import FitResult, fit
+from fit._cli import main
+from fit._wording import close_pairs
+from model_jax import InputError, Layers, Response, analytic_layers
+from tests.scene_text import SCENE, resized
+
+from .looks import START, TRUTH, picture, scene
+from .test_bare_limb import disc_scene, full_moon
+
+NOISE = 1e-3
+
+
+def airlight(*words: str) -> int:
+    with mock.patch.object(sys, "argv", ["airlight", *words]):
+        try:
+            main()
+        except SystemExit as stop:
+            return int(stop.code or 0)
+        return 0
+
+
+@pytest.fixture(scope="module")
+def layers() -> Layers:
+    return analytic_layers(scene())
+
+
+@pytest.fixture(scope="module")
+def clean(layers: Layers) -> np.ndarray:
+    return picture(layers, TRUTH)
+
+
+def noisy(light: np.ndarray) -> np.ndarray:
+    return light + np.random.default_rng(1).normal(scale=NOISE, size=light.shape)
+
+
+def bare_disc() -> tuple[np.ndarray, Layers]:
+    """A planet without air, and the layers of a shell around it."""
+    light = full_moon(99.5, 99.5) + np.random.default_rng(2).normal(scale=0.005, size=(200, 200, 3))
+    return light, analytic_layers(disc_scene((200, 200), (99.5, 99.5, 60.0), 0.03))
+
+
+def with_blotch(clean: np.ndarray) -> np.ndarray:
+    """Something bright that is no air, over a fourteenth of the air's pixels."""
+    light = noisy(clean)
+    light[30:50, 110:150] += 0.3
+    return light
+
+
+# --- nothing to fit -----------------------------------------------------------------------------
+
+
+def test_no_data_says_nothing_of_the_fit_that_was_thrown_away() -> None:
+    result = fit(*bare_disc())
+    assert result.verdict == "no_data"
+    assert result.warnings == ()
+    assert "left over" not in result.message
+    assert "Intervals" not in result.message
+
+
+def test_no_data_shows_no_picture_of_the_start_look(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").write_text(resized(80, 60))
+    Image.fromarray(np.zeros((60, 80, 3), np.uint8)).save("black.png")
+    Path("out").mkdir()
+    Path("out/image.exr").write_text("an earlier fit's")
+    assert airlight("fit", "scene.toml", "black.png", "-o", "out") == 1
+    assert {path.name for path in Path("out").iterdir()} == {
+        "fit.json",
+        "report.html",
+        "layers.exr",
+    }
+    page, printed = Path("out/report.html").read_text(), capsys.readouterr().out
+    for text in ("Nothing was left out", "Photo and model", "fitted render", "1/width_unit"):
+        assert text not in page.split("Command and versions")[0].split("</style>")[1], text
+    assert "Nothing: there was nothing to fit." in page
+    assert "brightness" not in printed
+
+
+# --- bounds and priors of what is held ----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ({"bounds": {"gamma": (0.5, 2.0)}}, "bounds: gamma is held at 1"),
+        ({"priors": {"gamma": (1.0, 0.05)}}, "prior: gamma is held at 1"),
+        ({"free": ["brightness"], "bounds": {"shadow": (0, 1)}}, "bounds: shadow is held at 0.5"),
+        ({"free": ["tint.r"], "priors": {"tint.g": (1, 0.1)}}, "prior: tint.g is held at 1"),
+    ],
+)
+def test_limits_of_what_is_held_are_refused(
+    words: dict[str, object], named: str, clean: np.ndarray, layers: Layers
+) -> None:
+    with pytest.raises(InputError, match=named) as error:
+        fit(clean, layers, START, **words)
+    assert "add it to free" in str(error.value)
+
+
+def test_limits_of_a_family_speak_of_its_free_members(clean: np.ndarray, layers: Layers) -> None:
+    """The first exposure is held, the second is not."""
+    photos = [noisy(clean), noisy(1.1 * clean)]
+    result = fit(photos, [layers, layers], START, bounds={"exposure": (0.5, 2.0)})
+    assert result.parameters["exposure.2"].bounds == (0.5, 2.0)
+
+
+# --- photos of another shape --------------------------------------------------------------------
+
+
+def test_a_cropped_photo_is_told_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """To change camera.width moves the planet, by half of what was cut off on one side."""
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").write_text(SCENE)
+    Image.fromarray(np.full((120, 100, 3), 9, np.uint8)).save("crop.png")
+    assert airlight("fit", "scene.toml", "crop.png", "-o", "out") == 2
+    line = capsys.readouterr().err
+    assert "100×120 pixels have another shape than the scene's 160×120" in line
+    assert "put it back into its place there and --mask the rest" in line
+
+
+def test_the_advice_for_a_crop_holds(clean: np.ndarray, layers: Layers) -> None:
+    """The cut-out in its place, the rest masked, gives the look; the scene's camera made as small
+    as the cut-out gives another one."""
+    light = noisy(clean)
+    light[:, :70] = np.nan  # as a mask does
+    result = fit(light, layers, START)
+    assert result.parameters["brightness"].value == pytest.approx(3.0, abs=0.02)
+    assert not np.any(result.used[:, :70])
+
+
+# --- several photos -----------------------------------------------------------------------------
+
+
+def test_negative_black_levels_are_warned_of(clean: np.ndarray, layers: Layers) -> None:
+    photos = [noisy(clean), noisy(1.1 * clean - 0.05)]
+    (warning,) = fit(photos, [layers, layers], START).warnings
+    assert warning.startswith("Negative by more than three standard errors: black_level.2.")
+    held = fit(photos, [layers, layers], START, response=[Response(), Response(black_level=-0.05)])
+    assert held.parameters["black_level.2"].value < 0
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_photo_without_air_is_named_beside_one_with(
+    order: tuple[int, int], clean: np.ndarray, layers: Layers
+) -> None:
+    """The test for air stopped at the first photo that has some."""
+    seen = [(noisy(clean), layers), bare_disc()]
+    photos, sets = zip(*(seen[k] for k in order), strict=True)
+    result = fit(list(photos), list(sets), START)
+    assert result.verdict != "no_data"
+    told = [text for text in result.warnings if "no atmosphere shows" in text]
+    assert len(told) == 1
+    assert told[0].startswith(f"Photo {order.index(1) + 1}: no atmosphere shows")
+
+
+# --- what is said of residuals and correlations -------------------------------------------------
+
+
+def test_a_perfect_fit_says_nothing_of_its_rounding_errors(
+    clean: np.ndarray, layers: Layers
+) -> None:
+    result = fit(clean, layers, START)
+    size = np.abs(result.correlation - np.eye(len(result.correlation)))
+    assert size.max() > 0.9, "there are close pairs"
+    assert "hard to tell apart" not in result.report()
+    # With noise a thousand times smaller than a code step the same pairs matter.
+    assert "hard to tell apart" in fit(noisy(clean), layers, START).report()
+
+
+def test_errors_that_matter_by_the_typical_size_where_the_value_is_zero() -> None:
+    def pairs(stderr: float) -> int:
+        row = {"value": 0.0, "stderr": stderr, "scale": 0.01}
+        matrix = [[1.0, 0.95], [0.95, 1.0]]
+        names = ["a", "b"]
+        document = {
+            "parameters": dict.fromkeys(names, row),
+            "correlation": {"names": names, "matrix": matrix},
+        }
+        return len(close_pairs(document))
+
+    assert pairs(2e-6) == 1
+    assert pairs(0.5e-6) == 0
+
+
+def hanging(result: FitResult) -> str:
+    (told,) = [text for text in result.warnings if "hangs together" in text]
+    return told
+
+
+def test_a_robust_loss_is_not_advised_where_it_was_used(clean: np.ndarray, layers: Layers) -> None:
+    light = with_blotch(clean)
+    assert "or use a robust loss" in hanging(fit(light, layers, START))
+    for text in fit(light, layers, START, loss="cauchy").warnings:
+        assert "robust loss" not in text
+        assert "mask" not in text
+
+
+def test_masks_are_not_advised_where_all_of_the_air_is_off(
+    clean: np.ndarray, layers: Layers
+) -> None:
+    """Pictures of nothing but air were to be masked."""
+    y, x = np.mgrid[:128, :160]
+    sectors = 1 + 0.3 * np.sin(3 * np.arctan2(y - 63.5, x - 79.5))
+    result = fit(noisy(clean * sectors[..., None]), layers, START)
+    assert "no noise" in hanging(result)
+    for text in result.warnings:
+        assert "mask" not in text
+        assert "robust loss" not in text
+
+
+def test_fit_json_holds_the_same_sentences(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clean: np.ndarray
+) -> None:
+    """Message and warnings of a result are those of its document."""
+    result = fit(noisy(clean - 0.05), analytic_layers(scene()), START)
+    document = json.loads(json.dumps(result.to_dict()))
+    assert document["warnings"] == list(result.warnings)
+    assert any("came out negative" in text for text in document["warnings"])
+    assert all(text in result.message for text in result.warnings)
