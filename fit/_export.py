@@ -311,7 +311,9 @@ def _scene(document: dict[str, Any]) -> Iterator[Number]:
     color = document.get("color")
     for k, channel in enumerate("rgba"):
         value = color[k] if isinstance(color, list) and len(color) == 4 else None
-        meaning = "coverage where there is air" if channel == "a" else "the air's, times tint"
+        meaning = (
+            "coverage where there is air" if channel == "a" else "of the air, which tint multiplies"
+        )
         found[f"color.{channel}"] = (value, "linear light" if channel != "a" else "1", meaning)
     for name, (value, unit, meaning) in found.items():
         if (number := _finite(value)) is not None:

@@ -163,7 +163,9 @@ def test_fault_one_constant_off_by_half_a_percent_is_found(
 ) -> None:
     case = scene()
     lines = export_text(read_fit(written(document_of(ODD, 5.5))), Format.glsl)
-    line = next(line for line in lines.splitlines() if re.match(rf"const highp \w+ {constant} = ", line))
+    line = next(
+        line for line in lines.splitlines() if re.match(rf"const highp \w+ {constant} = ", line)
+    )
     old = re.findall(r"-?\d+\.\d+(?:e-?\d+)?", line.split("//")[0])[-1]
     faulty = line.replace(old, float_literal(float(old) * 1.005), 1)
     assert faulty != line
