@@ -4,7 +4,7 @@ The top floor of airlight. Its core needs arrays and `model_jax` only, so it wor
 OpenGL:
 
     result = fit(load_photo("photo.png"), layers)
-    print(result.message, result.parameters["brightness"])
+    print(result)
 """
 
 import lazy_loader

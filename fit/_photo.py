@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt, UInt8
@@ -21,6 +21,9 @@ from model_jax._tone import Linear, Srgb, ToneCurve, parse_tone_curve
 
 from ._colour import Colours, of_exr, of_jpeg, of_png, of_tiff
 from ._wording import curve_in_words
+
+if TYPE_CHECKING:
+    from render_gl import PhotoSettings
 
 PathLike = str | os.PathLike[str]
 
@@ -128,8 +131,13 @@ class Photo:
         return self.half_steps[self.codes]
 
 
-def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None = None) -> Photo:
+def load_photo(
+    path: "PathLike | PhotoSettings", tone_curve: object = None, mask: PathLike | None = None
+) -> Photo:
     """Read a photo: JPEG, PNG or TIFF of 8 or 16 bits, float TIFF, EXR.
+
+    `path` names a file, or is a scene file's `photo` (`render_gl.load_scene(…).photo`), whose tone
+    curve and mask are used where no others are given.
 
     `tone_curve` is a `ToneCurve` or what `parse_tone_curve` accepts; None means what the file says
     (`_colour`), else linear for EXR and float TIFF, sRGB for integer photos. `mask` names a picture
@@ -142,6 +150,17 @@ def load_photo(path: PathLike, tone_curve: object = None, mask: PathLike | None 
     Raises `InputError` for files that are missing, damaged, cut off, of another format, of more
     than `MAX_PIXELS` pixels, for CMYK, for an EXR without R, G, B, and for a mask of another size.
     """
+    from render_gl._scene_file import PhotoSettings, SceneFile
+
+    if isinstance(path, SceneFile):
+        raise InputError("path: is a SceneFile; give its .photo")
+    if isinstance(path, PhotoSettings):
+        if path.path is None:
+            raise InputError(
+                "photo: the scene names none; write path into its [photo], or give a file's path"
+            )
+        curve, own = path.tone_curve, path.mask
+        return load_photo(path.path, tone_curve or curve, mask if mask is not None else own)
     file = Path(need_path("path", path))
     stored, bits, lossy, jpeg, colours = _read(file)
     curve, remarks = _choose_curve(tone_curve, colours, bits)

@@ -145,7 +145,7 @@ def photo_section(
         return {
             "name": name,
             "look": _look_at_photo(light, mask, tone_curve, count),
-            "profile": {"why": "Nothing was fitted."},
+            "profile": None,
             "influence": None,
             "weights": None,
         }

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from model_jax import InputError, Look, Response
 
-from ._wording import number
+from ._wording import measured, number
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,10 @@ class Errors:
 
 @dataclass(frozen=True)
 class FitResult:
-    """A fitted look and what the photos say about it."""
+    """A fitted look and what the photos say about it; printed, it is its report.
+
+    A pickle holds all of it but the photos' samples: `influence` and `weights` need those.
+    """
 
     verdict: str
     """A `Verdict`'s label."""
@@ -234,6 +237,25 @@ class FitResult:
         """Brightness per scene length unit: what may be moved to a scene with other clip planes."""
         return self.parameters["brightness"].value / self.width_unit
 
+    def __str__(self) -> str:
+        return self.report()
+
+    def __repr__(self) -> str:
+        told = [
+            f"{n} {measured(e.value, e.stderr)}" for n, e in self.parameters.items() if e.stderr
+        ]
+        return f"<FitResult {self.verdict}{': ' if told else ''}{', '.join(told)}>"
+
+    def _repr_html_(self) -> str:
+        """The report in a notebook."""
+        from ._terminal import fit_html
+
+        return fit_html(self.to_dict())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled or copied: all but the photos' samples, which are as large as they."""
+        return vars(self) | {"evidence": None}
+
     def influence(self, name: str, photo: int = 0) -> Float[np.ndarray, "h w 3"]:
         """Derivative of a fitted parameter by each recorded sample of a photo.
 
@@ -241,9 +263,11 @@ class FitResult:
         parameter units per unit of linear light.
 
         Raises:
-            InputError: a parameter without a standard error, or a photo that there is not.
+            InputError: a parameter without a standard error, a photo that there is not, or a
+                result that comes out of a pickle or is a copy.
         """
-        if name not in self.correlation_names or self.evidence is None:
+        self._need_evidence("influence")
+        if name not in self.correlation_names:
             raise InputError(
                 f"influence: {name!r} was not told by the fit; choose from "
                 f"{list(self.correlation_names)}"
@@ -254,11 +278,24 @@ class FitResult:
         return found
 
     def weights(self, photo: int = 0) -> Float[np.ndarray, "h w"]:
-        """How much a robust loss believed each pixel, 0 to 1; NaN where none was used."""
+        """How much a robust loss believed each pixel, 0 to 1; NaN where none was used.
+
+        Raises:
+            InputError: the result comes out of a pickle or is a copy.
+        """
+        self._need_evidence("weights")
         if self.evidence is None:
             return np.full(self.photos[photo].used.shape, np.nan, np.float32)
         found: np.ndarray = self.evidence.weights()[photo]
         return found
+
+    def _need_evidence(self, what: str) -> None:
+        """Raise `InputError` where something was fitted and its samples are gone."""
+        if self.evidence is None and self.correlation_names:
+            raise InputError(
+                f"{what}: needs the samples of the photo, which no pickle and no copy of a result "
+                "holds; fit again"
+            )
 
     def report(self) -> str:
         """The fit as plain text, as the command line prints it."""

@@ -67,6 +67,14 @@ def fit_text(document: dict[str, Any], width: int = 100) -> str:
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
 
 
+def fit_html(document: dict[str, Any], width: int = 100) -> str:
+    """The same as HTML for notebooks, in colours that are read on light and dark."""
+    console = Console(file=io.StringIO(), width=width, record=True, color_system="standard")
+    print_fit(console, document, None)
+    form = '<pre style="white-space:pre-wrap;line-height:1.35">{code}</pre>'
+    return console.export_html(code_format=form, inline_styles=True)
+
+
 def print_bench(console: Console, document: dict[str, Any], out: str) -> None:
     """The rows of a benchmark."""
     table = Table(box=None, pad_edge=False, header_style="dim")

@@ -35,6 +35,20 @@ def test_the_python_snippet_runs() -> None:
     assert "The fit converged" in done.stdout
 
 
+def test_the_python_snippet_is_typed(tmp_path: Path) -> None:
+    (snippet,) = blocks("python")
+    (tmp_path / "snippet.py").write_text(snippet)
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--follow-imports=silent",
+        str(tmp_path / "snippet.py"),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0, done.stdout
+
+
 @pytest.mark.parametrize("command", ["render", "fit", "export", "check", "bench", "version"])
 def test_every_command_is_shown(command: str) -> None:
     assert any(f"airlight {command}" in block for block in blocks("sh"))

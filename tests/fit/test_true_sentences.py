@@ -1,6 +1,9 @@
 """Sentences that trials as a new user found false, or missing: each is true now."""
 
+import copy
+import dataclasses
 import json
+import pickle
 import sys
 from pathlib import Path
 from unittest import mock
@@ -9,10 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fit import FitResult, fit
+from fit import FitResult, fit, load_photo
 from fit._cli import main
 from fit._wording import close_pairs
 from model_jax import InputError, Layers, Response, analytic_layers
+from render_gl import load_scene
 from tests.scene_text import SCENE, resized
 
 from .looks import START, TRUTH, picture, scene
@@ -85,7 +89,8 @@ def test_no_data_shows_no_picture_of_the_start_look(
     page, printed = Path("out/report.html").read_text(), capsys.readouterr().out
     for text in ("Nothing was left out", "Photo and model", "fitted render", "1/width_unit"):
         assert text not in page.split("Command and versions")[0].split("</style>")[1], text
-    assert "Nothing: there was nothing to fit." in page
+    for name in ("parameters", "correlation", "errors", "descent", "profile"):
+        assert f'<section id="{name}' not in page
     assert "brightness" not in printed
 
 
@@ -231,3 +236,67 @@ def test_fit_json_holds_the_same_sentences(
     assert document["warnings"] == list(result.warnings)
     assert any("came out negative" in text for text in document["warnings"])
     assert all(text in result.message for text in result.warnings)
+
+
+# --- a result in a shell, a notebook and a pickle -----------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fitted(clean: np.ndarray, layers: Layers) -> FitResult:
+    return fit(noisy(clean), layers, START, loss="cauchy")
+
+
+def test_a_result_prints_as_its_report(fitted: FitResult) -> None:
+    assert str(fitted) == fitted.report()
+    assert repr(fitted).startswith("<FitResult converged: brightness 3.00")
+    assert len(repr(fitted)) < 300
+
+
+def test_a_notebook_shows_the_report(fitted: FitResult) -> None:
+    html = fitted._repr_html_()
+    assert html.startswith("<pre")
+    assert "brightness" in html
+    assert "converged</span>" in html, "the verdict has its colour"
+    marked = dataclasses.replace(fitted, warnings=("<b>not markup</b>",))
+    assert "<b>" not in marked._repr_html_()
+
+
+def test_a_pickle_holds_all_but_the_photo(fitted: FitResult) -> None:
+    text = pickle.dumps(fitted)
+    # The mask of used pixels is there, a byte each, and two matrices; the light alone is 12 times.
+    assert len(text) < 2 * fitted.used.size
+    back = pickle.loads(text)
+    assert back.to_dict() == fitted.to_dict()
+    assert str(back) == str(fitted)
+    np.testing.assert_array_equal(back.covariance, fitted.covariance)
+    for of in (back, copy.copy(fitted)):
+        for ask in (lambda of=of: of.influence("shadow"), of.weights):
+            with pytest.raises(InputError, match="no pickle and no copy of a result holds; fit"):
+                ask()
+    assert np.nanmax(fitted.weights()) > 0.9, "the result itself still has them"
+
+
+# --- the photo that a scene names ---------------------------------------------------------------
+
+
+def test_the_photo_of_a_scene_has_its_tone_curve_and_mask(tmp_path: Path) -> None:
+    codes = np.random.default_rng(4).integers(0, 255, (6, 8, 3)).astype(np.uint8)
+    Image.fromarray(codes).save(tmp_path / "photo.png")
+    mask = np.zeros((6, 8), np.uint8)
+    mask[2:, :] = 255
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    table = '[photo]\npath = "photo.png"\ntone_curve = { gamma = 1.8 }\nmask = "mask.png"\n'
+    (tmp_path / "scene.toml").write_text(SCENE + table)
+    settings = load_scene(tmp_path / "scene.toml").photo
+    photo = load_photo(settings)
+    assert photo.tone_curve.describe() == {"gamma": 1.8}
+    assert (photo.reason != 0).tolist() == (mask == 0).tolist()
+    assert load_photo(settings, "srgb").tone_curve.describe() == "srgb"
+    Image.fromarray(255 - mask).save(tmp_path / "other.png")
+    other = load_photo(settings, mask=tmp_path / "other.png")
+    assert (other.reason != 0).tolist() == (mask != 0).tolist()
+    (tmp_path / "scene.toml").write_text(SCENE)
+    with pytest.raises(InputError, match="the scene names none; write path into its"):
+        load_photo(load_scene(tmp_path / "scene.toml").photo)
+    with pytest.raises(InputError, match=r"is a SceneFile; give its \.photo"):
+        load_photo(load_scene(tmp_path / "scene.toml"))

@@ -1,0 +1,34 @@
+"""What `pip install` brings: packages with their types and data, and the examples."""
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def names(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
+    """Of the files in the wheel."""
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, capture_output=True, cwd=ROOT, check=True)
+    (wheel,) = folder.glob("*.whl")
+    return set(zipfile.ZipFile(wheel).namelist())
+
+
+def test_each_package_is_there_with_its_types(names: set[str]) -> None:
+    for package in ("model_jax", "render_gl", "fit"):
+        assert {f"{package}/{n}" for n in ("__init__.py", "__init__.pyi", "py.typed")} <= names
+    assert "fit/templates/report.html" in names
+    assert "render_gl/glsl/combine.glsl" in names
+    assert not any(name.startswith("tests/") for name in names)
+
+
+def test_the_examples_are_there(names: set[str]) -> None:
+    data = {name.partition(".data/data/")[2] for name in names if ".data/data/" in name}
+    examples = [p for p in (ROOT / "examples").iterdir() if p.is_file()]
+    assert data == {f"share/airlight/examples/{path.name}" for path in examples}
