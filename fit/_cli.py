@@ -361,7 +361,7 @@ def version(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Versions of what the numbers depend on, and what computes and draws here."""
+    """Versions of airlight and of what it computes with."""
     facts: dict[str, Any] = versions() | (_devices() if devices else {})
     lines = [
         f"{name:12} {value if isinstance(value, str) else ', '.join(value)}"

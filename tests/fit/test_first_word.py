@@ -106,6 +106,22 @@ def test_the_first_word_needs_no_jax(
     assert len(modules) <= MOST_MODULES
 
 
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("airlight ex", "export"),
+        ("airlight fit --lo", "--loss"),
+        ("airlight export f --to t", "toml"),
+    ],
+)
+def test_the_shell_completes(typed: str, offered: str, tmp_path: Path) -> None:
+    count = str(len(typed.split()) - 1)
+    completing = {"_AIRLIGHT_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": count}
+    done = run(tmp_path, **completing)
+    assert done.stdout.split() == [offered], done.stderr
+    assert not HEAVY & set((tmp_path / "modules.txt").read_text().split())
+
+
 @pytest.mark.parametrize("package", ["model_jax", "render_gl", "fit"])
 def test_importing_a_package_imports_what_is_used(package: str) -> None:
     code = f"import sys, {package}; print(dir({package})); print(*sys.modules)"

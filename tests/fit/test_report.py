@@ -269,3 +269,20 @@ def test_intervals_are_written_to_two_digits_of_half_their_width(limits, text) -
 
 def test_missing_numbers_are_dashes() -> None:
     assert number(None) == "—"
+
+
+def test_a_telephone_gets_one_column_and_each_number_its_name() -> None:
+    """At 390 pixels the influence card kept two columns, and intervals were cut off."""
+    text = page(document())
+    narrow = text[text.index("@media (max-width: 760px)") : text.index("@media print")]
+    columns = re.search(r"([^{}]*)\{ grid-template-columns: minmax\(0, 1fr\); \}", narrow)
+    assert columns is not None
+    wide = re.findall(
+        r"(\.[\w.]+) \{[^}]*grid-template-columns: (?:repeat\([23]|minmax.*minmax)", text
+    )
+    assert ".maps.alone" in wide
+    assert set(wide) <= set(re.findall(r"\.[\w.]+", columns[1])), "no card stays wide"
+    (table,) = re.findall(r'<table class="rows">.*?</table>', text, re.DOTALL)
+    heads = re.findall(r"<th>(.*?)</th>", table)
+    for row in re.findall(r"<tr title.*?</tr>", table, re.DOTALL):
+        assert re.findall(r'<td data-name="(.*?)"', row) == heads

@@ -138,8 +138,7 @@ def test_a_cropped_photo_is_told_what_to_do(
 
 
 def test_the_advice_for_a_crop_holds(clean: np.ndarray, layers: Layers) -> None:
-    """The cut-out in its place, the rest masked, gives the look; the scene's camera made as small
-    as the cut-out gives another one."""
+    """The cut-out in its place, the rest masked, gives the look."""
     light = noisy(clean)
     light[:, :70] = np.nan  # as a mask does
     result = fit(light, layers, START)
