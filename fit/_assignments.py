@@ -2,14 +2,16 @@
 
     --start shadow=0.3   --bounds shadow=:1   --prior gamma=1:0.05   --tie gamma.2=gamma.1
 
-Only their form is checked here; what the names mean and which values are possible is `declare`'s.
+Their form is checked here, and that each name is of some parameter; which members there are and
+which values are possible is `declare`'s.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from model_jax._errors import InputError
+from model_jax._errors import InputError, shown
+from model_jax._parameter import PARAMETERS, RESPONSE_PARAMETERS
 
 T = TypeVar("T")
 
@@ -44,12 +46,20 @@ def priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
 
 def ties(texts: Sequence[str]) -> dict[str, str]:
     """NAME=OTHER: the name that it equals."""
-    return _each("--tie", "NAME=OTHER, such as gamma.2=gamma.1", texts, _name)
+    found = _each("--tie", "NAME=OTHER, such as gamma.2=gamma.1", texts, _name)
+    for name, other in found.items():
+        _check_name(f"--tie {name}={other}", other)
+    return found
 
 
 def names(text: str | None) -> tuple[str, ...] | None:
     """Comma-separated names; None stays None."""
-    return None if text is None else tuple(name.strip() for name in text.split(","))
+    if text is None:
+        return None
+    found = tuple(name.strip() for name in text.split(","))
+    for name in found:
+        _check_name(f"--free {text}", name)
+    return found
 
 
 def _each(option: str, form: str, texts: Sequence[str], read: Callable[[str], T]) -> dict[str, T]:
@@ -62,10 +72,17 @@ def _each(option: str, form: str, texts: Sequence[str], read: Callable[[str], T]
             value = read(rest)
         except ValueError:
             raise InputError(f"{option} {text}: must be {form}, with finite numbers") from None
+        _check_name(f"{option} {text}", name)
         if name in found:
             raise InputError(f"{option} {text}: {name} is given twice; leave one of them away")
         found[name] = value
     return found
+
+
+def _check_name(given: str, name: str) -> None:
+    known = PARAMETERS | RESPONSE_PARAMETERS
+    if name.partition(".")[0] not in known:
+        raise InputError(f"{given}: {shown(name)} is no parameter; choose from {', '.join(known)}")
 
 
 def _two(text: str) -> tuple[str, str]:

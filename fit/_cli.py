@@ -227,6 +227,11 @@ def fit(
         raise InputError(f"fit: --constant {constant:g} goes with --encoding log")
     if layers is not None and (source is not None or depth is not None):
         raise InputError("fit: --source and --depth draw a scene's layers; --layers has its own")
+    if layers is None and len(paths) > 2 and (mask is not None or tone_curve is not None):
+        raise InputError(
+            "fit: --mask and --tone-curve are of one photo; with several, write mask and "
+            "tone_curve into [photo] of each one's scene"
+        )
     check_steps("max-steps", max_steps)
     asked: dict[str, Any] = dict(  # noqa: C408 (the names of `Job`'s fields)
         photos=tuple(paths if layers is not None else paths[1::2]),
@@ -456,11 +461,11 @@ def _write_png(out: str, picture: Any) -> None:
 
 
 def _tone_curve(text: str | None) -> Any:
-    """The option's text in the form that scene files use."""
-    if text is None or "," not in text:
+    """The option's text in the form that scene files use; `InputError` for anything else."""
+    if text in (None, "linear", "srgb"):
         return text
     try:
-        exposure, gamma = (float(number) for number in text.split(","))
+        exposure, gamma = (float(number) for number in str(text).split(","))
     except ValueError:
         raise InputError(f"--tone-curve {text}: must be linear, srgb or EXPOSURE,GAMMA") from None
     return {"exposure": exposure, "gamma": gamma}

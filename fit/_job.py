@@ -202,11 +202,6 @@ def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
     check_sampling(job.sampling)
     check_solver(job.solver)
     check_steps("max-steps", job.max_steps)
-    if len(job.photos) > 1 and (job.mask is not None or job.tone_curve is not None):
-        raise InputError(
-            "fit: --mask and --tone-curve are of one photo; with several, write mask and "
-            "tone_curve into [photo] of each one's scene"
-        )
 
 
 def make_layers(scene: Scene, source: LayerSource, depth_format: str) -> Layers:
