@@ -436,7 +436,7 @@ def _in_view(layers: "Layers") -> bool:
 
 def _size(text: str) -> tuple[int, int]:
     width, cross, height = text.lower().partition("x")
-    if not (cross and width.isdecimal() and height.isdecimal()):
+    if not (cross and width.isdecimal() and height.isdecimal() and len(text) < 20):
         raise InputError(f"--size {text}: must be WIDTHxHEIGHT in pixels, such as 640x480")
     return int(width), int(height)
 

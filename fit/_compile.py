@@ -54,17 +54,19 @@ def keep_programs() -> None:
     cannot be written to is no error; then programs are compiled each time.
     """
     configuration: Any = jax.config  # its type does not list its settings
-    if configuration.jax_compilation_cache_dir is not None:
+    asked = configuration.jax_enable_compilation_cache
+    if not asked or configuration.jax_compilation_cache_dir is not None:
         return
-    folder = platformdirs.user_cache_path("airlight", appauthor=False) / "xla"
     try:
+        folder = platformdirs.user_cache_path("airlight", appauthor=False) / "xla"
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
+    except (OSError, RuntimeError):  # the latter of a user without a home
         return
     if os.access(folder, os.W_OK):
         jax.config.update("jax_compilation_cache_dir", str(folder))
         for name, value in _KEPT.items():
-            jax.config.update(name, value)
+            if name.upper() not in os.environ:
+                jax.config.update(name, value)
 
 
 def program(function: Callable[P, R]) -> Callable[P, R]:

@@ -22,11 +22,12 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from model_jax._errors import InputError, shown
+from model_jax._errors import InputError, printable, shown
 from model_jax._parameter import PARAMETERS, RESPONSE_PARAMETERS
 from render_gl._files import PathLike, check_file, write_whole
 
 from ._verdict import VERDICTS, Verdict
+from ._wording import share
 
 if TYPE_CHECKING:
     from model_jax import Look
@@ -223,6 +224,7 @@ def _fitted(path: str, document: Any) -> Fitted:
     numbers = {name: _number(name, entry) for name, entry in document["parameters"].items()}
     look_values = _look({name: number.value for name, number in numbers.items()})
     warnings = document["warnings"] if isinstance(document.get("warnings"), list) else []
+    warnings = [*warnings, *_other_scenes(document)]
     return Fitted(
         path=path,
         verdict=verdict,
@@ -318,6 +320,16 @@ def _scene(document: dict[str, Any]) -> Iterator[Number]:
     for name, (value, unit, meaning) in found.items():
         if (number := _finite(value)) is not None:
             yield Number(name, number, None, None, False, "", None, unit, meaning)
+
+
+def _other_scenes(document: dict[str, Any]) -> Iterator[str]:
+    """What is of the first photo's scene only, of several photos."""
+    photos = document.get("photos")
+    named = [p for p in photos if isinstance(p, dict)] if isinstance(photos, list) else []
+    keys = ("color", "planet_radius", "atmosphere_height", "atmosphere_path", "width_unit")
+    for number, photo in enumerate(named[1:], 2):
+        if differing := [key for key in keys if photo.get(key) != named[0].get(key)]:
+            yield f"Of photo 1 only: {', '.join(differing)}. Photo {number}'s scene has others."
 
 
 def _finite(value: Any) -> float | None:
@@ -437,7 +449,7 @@ def _constant(identifier: str, shape: str, numbers: tuple[Number, ...]) -> str:
     about += [remark] if (remark := _remark(numbers)) else []
     comment = "; ".join([", ".join(about), numbers[0].meaning] if about else [numbers[0].meaning])
     # Older GLSL takes ASCII only, and a backslash at the end of a line continues the comment.
-    comment = " ".join(_ascii(comment).replace("\\", "/").split()).rstrip("; ")
+    comment = _plain(comment).rstrip("; ")
     # OpenGL ES has no precision of its own for fragments, and the least one ends at 16,384.
     return f"const highp {shape} {identifier} = {value};" + (f"  // {comment}" if comment else "")
 
@@ -501,13 +513,11 @@ def _heading(fitted: Fitted) -> Iterator[str]:
     converged = fitted.verdict == Verdict.CONVERGED.label
     yield f"Verdict: {_key(fitted.verdict)}." + ("" if converged else f" {sentence}.")
     if fitted.explained is not None:
-        yield f"Explains {100 * fitted.explained:.3g} % of the light's variance."
+        yield _plain(f"Explains {share(fitted.explained)} of the light's variance.")
     if fitted.warning is not None:
         yield f"Take these numbers with care: {remedy}."
     for warning in fitted.warnings:
-        # A backslash at a line's end would continue the comment.
-        text = " ".join(_ascii(f"Warning: {warning}").replace("\\", "/").split())
-        yield from textwrap.wrap(text, 96, subsequent_indent="  ")
+        yield from textwrap.wrap(_plain(f"Warning: {warning}"), 96, subsequent_indent="  ")
     if fitted.atmosphere_path is not None:
         yield PATHS[fitted.atmosphere_path]
 
@@ -560,6 +570,20 @@ def _key(name: str) -> str:
 def _quoted(text: str) -> str:
     """In quotes, ASCII, on one line, and never ending in a backslash."""
     return json.dumps(text).replace("\x7f", "\\u007f")  # TOML forbids it, JSON does not
+
+
+_SIGNS = str.maketrans(
+    {"−": "-", "·": "*", "×": "x", "±": "+-", "≤": "<=", "≥": ">=", "…": "...", "→": "->"}
+    | {"Δ": "Delta", "χ": "chi", "σ": "sigma", "’": "'"}
+)
+_POWERS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+
+
+def _plain(text: str) -> str:
+    """Text as a comment of any language can hold it: ASCII on one line, without backslashes, which
+    at a line's end continue it; numbers stay readable, as 3.1 * 10^-5."""
+    powers = re.sub("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda found: "^" + found[0].translate(_POWERS), text)
+    return _ascii(printable(powers.translate(_SIGNS))).replace("\\", "/")
 
 
 def _ascii(text: str) -> str:

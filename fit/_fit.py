@@ -277,7 +277,6 @@ def _fit(task: _Task) -> FitResult:
         take_columns(p, la, px.used, unit) for (p, la), px in zip(seen, pixels, strict=True)
     )
     asked, left_out = _leave_out(task, columns)
-    left_out = [LeftOut(*remark) for px in pixels for remark in px.remarks] + left_out
     why_not = _no_data(task, pixels, columns, asked)
     if why_not:
         return _without_data(why_not, task, pixels, columns, left_out)
@@ -288,7 +287,7 @@ def _fit(task: _Task) -> FitResult:
     if problem.count > LARGE:
         give_back()  # what compiling left behind
     times.append(perf_counter())
-    result = _judge(task, problem, end, pixels, left_out)
+    result = _judge(task, problem, end, pixels, [*_pixel_remarks(pixels), *left_out])
     airless = _airless(task, pixels, columns, result)
     if all(airless):
         result = _without_data(str(airless[0]), task, pixels, columns, left_out)
@@ -305,6 +304,15 @@ def _fit(task: _Task) -> FitResult:
     names = ("reduce", "solve", "errors")
     spans = zip(names, pairwise(times), strict=True)
     return replace(result, seconds={name: after - before for name, (before, after) in spans})
+
+
+def _pixel_remarks(pixels: Sequence[Pixels]) -> list[LeftOut]:
+    """What could not be taken into account of the pixels used."""
+    return [
+        LeftOut(f"{what}, photo {number}" if len(pixels) > 1 else what, why)
+        for number, px in enumerate(pixels, 1)
+        for what, why in px.remarks
+    ]
 
 
 def _warned(result: FitResult, warnings: Sequence[str]) -> FitResult:

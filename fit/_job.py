@@ -214,13 +214,12 @@ def make_layers(scene: Scene, source: LayerSource, depth_format: str) -> Layers:
 def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> View:
     """The photo; a scene's [photo] table speaks of the scene's own photo, of no other."""
     name = job.photos[number]
-    curve: object = job.tone_curve
-    mask = job.mask
-    own = file is not None and file.photo.path is not None
-    if file is not None and own and os.path.realpath(name) == file.photo.path:
-        curve = curve if curve is not None else file.photo.tone_curve
-        mask = mask if mask is not None else file.photo.mask
-    photo = load_photo(name, curve, mask)
+    own = file is not None and os.path.realpath(name) == file.photo.path
+    photo = load_photo(
+        replace(file.photo, path=name) if file is not None and own else name,
+        job.tone_curve,
+        job.mask,
+    )
     if file is None:
         return View(path_text(name), photo, None, None)
     height, width = photo.shape

@@ -159,11 +159,17 @@ def declare(
     for what, keys in (("bounds", bounds or {}), ("prior", priors or {})):
         for key in keys:
             members = [parameters[name] for name in _expand(what, key, parameters)]
-            if all(p.role == "fixed" for p in members):
+            if any(p.role == "free" for p in members):
+                continue
+            if members[0].tied_to is not None:
                 raise InputError(
-                    f"{what}: {key} is held at {members[0].value:g} and not fitted, so that they "
-                    f"say nothing; add it to free, or leave its {what} out"
+                    f"{what}: {key} is tied to {members[0].tied_to}; give its {what} to that one"
                 )
+            values = ", ".join(dict.fromkeys(f"{p.value:g}" for p in members))
+            raise InputError(
+                f"{what}: {key} is held at {values} and not fitted, so its {what} would say "
+                "nothing; add it to free, or leave that out"
+            )
     if not any(p.role == "free" for p in parameters.values()):
         raise InputError(f"free: names nothing to fit; choose from {_choices(parameters)}")
     return tuple(parameters.values())
@@ -421,7 +427,12 @@ def _tie(parameters: dict[str, Parameter], tied: Mapping[str, str]) -> None:
         if parameters[name].prior is not None:
             raise InputError(f"tied: {name} has a prior of its own; give it to {master.name}")
         parameters[name] = replace(
-            parameters[name], role="tied", tied_to=master.name, value=master.value
+            parameters[name],
+            role="tied",
+            tied_to=master.name,
+            value=master.value,
+            lower=master.lower,
+            upper=master.upper,
         )
 
 

@@ -160,7 +160,11 @@ def load_photo(
                 "photo: the scene names none; write path into its [photo], or give a file's path"
             )
         curve, own = path.tone_curve, path.mask
-        return load_photo(path.path, tone_curve or curve, mask if mask is not None else own)
+        return load_photo(
+            path.path,
+            curve if tone_curve is None else tone_curve,
+            own if mask is None else mask,
+        )
     file = Path(need_path("path", path))
     stored, bits, lossy, jpeg, colours = _read(file)
     curve, remarks = _choose_curve(tone_curve, colours, bits)

@@ -38,8 +38,8 @@ def print_fit(console: Console, document: dict[str, Any], out: str | None) -> No
     style = {"converged": "yellow" if doubtful else "green", "at_bound": "yellow"}.get(
         document["verdict"], "red"
     )
-    verdict = Text(document["verdict"], style=f"bold {style}")
-    console.print(verdict.append(f"  {verdict_sentence(document)}", style="not bold default"))
+    verdict = (document["verdict"], f"bold {style}")
+    console.print(Text.assemble(verdict, f"  {verdict_sentence(document)}"))
     for warning in document.get("warnings") or []:
         _say(console, f"warning: {warning}", "yellow")
     if shown_parameters(document):
@@ -63,13 +63,17 @@ def print_fit(console: Console, document: dict[str, Any], out: str | None) -> No
 def fit_text(document: dict[str, Any], width: int = 100) -> str:
     """The same as plain text."""
     stream = io.StringIO()
-    print_fit(Console(file=stream, width=width, color_system=None), document, None)
+    # In a notebook rich would show what is only asked for.
+    console = Console(file=stream, width=width, color_system=None, force_jupyter=False)
+    print_fit(console, document, None)
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
 
 
 def fit_html(document: dict[str, Any], width: int = 100) -> str:
     """The same as HTML for notebooks, in colours that are read on light and dark."""
-    console = Console(file=io.StringIO(), width=width, record=True, color_system="standard")
+    console = Console(
+        file=io.StringIO(), width=width, record=True, color_system="standard", force_jupyter=False
+    )
     print_fit(console, document, None)
     form = '<pre style="white-space:pre-wrap;line-height:1.35">{code}</pre>'
     return console.export_html(code_format=form, inline_styles=True)

@@ -64,13 +64,14 @@ def close_pairs(document: Mapping[str, Any]) -> list[tuple[str, str, float]]:
     if not correlation:
         return []
     rows = document.get("parameters") or {}
+    tied = {name for name, row in rows.items() if row.get("tied_to")}  # close by being asked to
     names, matrix = correlation["names"], correlation["matrix"]
     pairs = [
         (names[i], names[j], matrix[i][j])
         for i in range(len(names))
         for j in range(i)
         if matrix[i][j] is not None and abs(matrix[i][j]) >= CLOSE
-        if all(_matters(rows.get(names[k]) or {}) for k in (i, j))
+        if all(names[k] not in tied and _matters(rows.get(names[k]) or {}) for k in (i, j))
     ]
     return [(b, a, c) for a, b, c in sorted(pairs, key=lambda pair: -abs(pair[2]))]
 

@@ -11,6 +11,7 @@ import io
 import json
 import re
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -347,7 +348,7 @@ def test_glsl_says_where_numbers_come_from_and_what_they_are(written) -> None:
     document["parameters"]["background"] = entry(0.0, role="held", free=False, stderr=None)
     text = export_text(read_fit(written(document)), Format.glsl)
     assert text.startswith('// Look of the air, fitted by airlight to "limb.png" with "limb.toml".')
-    assert "// Verdict: converged.\n// Explains 98.8 % of the light's variance." in text
+    assert "// Verdict: converged.\n// Explains 98.76 % of the light's variance." in text
     assert "const highp float brightness = 3.0;  // 1/width_unit, +- 0.012; light per width" in text
     assert "const highp vec3 shadow = vec3(0.2);  // +- 0.01; light of shadowed air" in text
     assert "not told by the photo, start value" in text
@@ -424,15 +425,33 @@ def test_what_the_look_refers_to_is_there(written, to: Format) -> None:
 @pytest.mark.parametrize("to", [Format.glsl, Format.glsl_uniform, Format.toml, Format.json])
 def test_warnings_of_the_fit_are_in_the_export(written, capsys, to: Format) -> None:
     """A background below zero went into shaders without its warning."""
-    warning = "The background came out negative: the model takes light away. \u2264 \\"
+    warning = "The background came out negative: the model takes light away. \a ≤ 3.1 · 10⁻⁵ \\"
     path = written(document_of(ODD, warnings=[warning, 3]))
     text = export_text(read_fit(path), to)
     text.encode("ascii")
     words = " ".join(re.sub(r"^(//|#)", "", line) for line in text.splitlines())
-    assert "The background came out negative: the model takes light" in " ".join(words.split())
+    words = " ".join(words.split())
+    assert "The background came out negative: the model takes light" in words
+    if to != Format.json:
+        assert "<= 3.1 * 10^-5" in words, "numbers stay readable"
+        assert "\a" not in text
+    if to == Format.toml:
+        assert tomllib.loads(text)["look"]["brightness"] == float(ODD.brightness)
     assert not any(line.endswith("\\") for line in text.splitlines())
     assert airlight("export", path, "--to", to.value) == 0
     assert "warning: The background came out negative" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("to", [Format.glsl, Format.toml, Format.json])
+def test_several_scenes_are_told_apart(written, to: Format) -> None:
+    """Of photos of several scenes the first one's colour and lengths are exported."""
+    first = SCENE_FACTS | {"photo": "a.png", "scene": "a.toml", "width_unit": 5.5}
+    second = first | {"photo": "b.png", "planet_radius": 6300.0}
+    document = document_of(ODD, 5.5, **SCENE_FACTS, photos=[first, second])
+    told = "Of photo 1 only: planet_radius. Photo 2's scene has others."
+    assert told in export_text(read_fit(written(document)), to)
+    alike = document | {"photos": [first, first | {"photo": "b.png"}]}
+    assert "Of photo 1 only" not in export_text(read_fit(written(alike)), to)
 
 
 @pytest.mark.parametrize("path", ["depth", "distance"])

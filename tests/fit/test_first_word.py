@@ -9,7 +9,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
+
+from fit._compile import keep_programs
 
 HEAVY = {
     "jax",
@@ -96,6 +99,7 @@ def document() -> dict[str, object]:
         ),
         (["render", SCENE, "-o", "picture.jpg"], 2, "neither .exr"),
         (["render", SCENE, "-o", "picture.png", "--size", "big"], 2, "must be WIDTHxHEIGHT"),
+        (["render", SCENE, "-o", "a.png", "--size", "9" * 5000 + "x1"], 2, "must be WIDTHxHEIGHT"),
         (["render", "no.toml", "-o", "picture.png"], 2, "no.toml: no such file"),
         (["check", "no.toml"], 2, "no.toml: no such file"),
         (["check", SCENE, "-o", "fit.json"], 2, "cannot be made a folder"),
@@ -212,6 +216,7 @@ def test_a_second_demo_compiles_nothing(tmp_path: Path) -> None:
     asked, kept = demo(tmp_path)
     assert kept < 5 < 10 < asked, "only what one command asks for twice"
     programs = sorted((tmp_path / "cache" / "airlight" / "xla").glob("*-cache"))
+    assert len(programs) > 10
     values = json.loads((tmp_path / "demo" / "fit.json").read_text())["parameters"]
     asked, kept = demo(tmp_path)
     assert sorted((tmp_path / "cache" / "airlight" / "xla").glob("*-cache")) == programs, (
@@ -229,3 +234,34 @@ def test_programs_are_not_kept_where_they_cannot_or_shall_not_be(tmp_path: Path)
     (tmp_path / "cache").unlink()
     assert demo(tmp_path, JAX_ENABLE_COMPILATION_CACHE="false") == (0, 0)
     assert not list((tmp_path / "cache").rglob("*-cache"))
+
+
+@pytest.mark.parametrize("own", [True, False], ids=["asked", "ours"])
+def test_settings_of_the_cache_that_somebody_gave_stand(own: bool, tmp_path: Path) -> None:
+    code = "import jax; from fit._compile import keep_programs; keep_programs(); c = jax.config; "
+    code += "print(c.jax_compilation_cache_max_size, c.jax_compilation_cache_dir)"
+    asked = {"JAX_COMPILATION_CACHE_MAX_SIZE": "1000"} if own else {}
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
+    environment |= {"XDG_CACHE_HOME": str(tmp_path)} | asked
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    )
+    size, folder = done.stdout.split()
+    assert int(size) == (1000 if own else 2**28)
+    assert folder == str(tmp_path / "airlight" / "xla")
+
+
+def test_a_user_without_a_home_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """platformdirs raises RuntimeError then."""
+
+    def nowhere(*_: object, **__: object) -> Path:
+        raise RuntimeError("could not determine the home directory")
+
+    monkeypatch.setattr("platformdirs.user_cache_path", nowhere)
+    kept = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", None)
+    try:
+        keep_programs()
+        assert jax.config.jax_compilation_cache_dir is None
+    finally:
+        jax.config.update("jax_compilation_cache_dir", kept)

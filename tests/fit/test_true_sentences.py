@@ -102,6 +102,7 @@ def test_no_data_shows_no_picture_of_the_start_look(
     [
         ({"bounds": {"gamma": (0.5, 2.0)}}, "bounds: gamma is held at 1"),
         ({"priors": {"gamma": (1.0, 0.05)}}, "prior: gamma is held at 1"),
+        ({"free": ["brightness"], "bounds": {"background": (0, 1)}}, "background is held at 0 and"),
         ({"free": ["brightness"], "bounds": {"shadow": (0, 1)}}, "bounds: shadow is held at 0.5"),
         ({"free": ["tint.r"], "priors": {"tint.g": (1, 0.1)}}, "prior: tint.g is held at 1"),
     ],
@@ -112,6 +113,20 @@ def test_limits_of_what_is_held_are_refused(
     with pytest.raises(InputError, match=named) as error:
         fit(clean, layers, START, **words)
     assert "add it to free" in str(error.value)
+
+
+def test_limits_of_what_is_tied_go_to_the_one_it_follows(clean: np.ndarray, layers: Layers) -> None:
+    photos, sets = [noisy(clean), noisy(1.1 * clean)], [layers, layers]
+    tied = {"gamma.2": "gamma.1"}
+    free = ["brightness", "shadow", "tint", "gamma.1", "exposure.2"]
+    with pytest.raises(
+        InputError, match=r"bounds: gamma\.2 is tied to gamma\.1; give its bounds to"
+    ):
+        fit(photos, sets, START, free=free, tied=tied, bounds={"gamma.2": (0.5, 2.0)})
+    result = fit(photos, sets, START, free=free, tied=tied, bounds={"gamma.1": (0.5, 2.0)})
+    assert result.parameters["gamma.2"].bounds == (0.5, 2.0)
+    assert result.parameters["gamma.2"].interval == result.parameters["gamma.1"].interval
+    assert "gamma.1 and gamma.2 are hard to tell apart" not in result.report()
 
 
 def test_limits_of_a_family_speak_of_its_free_members(clean: np.ndarray, layers: Layers) -> None:
@@ -258,6 +273,15 @@ def test_a_notebook_shows_the_report(fitted: FitResult) -> None:
     assert "converged</span>" in html, "the verdict has its colour"
     marked = dataclasses.replace(fitted, warnings=("<b>not markup</b>",))
     assert "<b>" not in marked._repr_html_()
+    assert "#000000" not in html, "black is not read on dark"
+
+
+def test_a_notebook_shows_it_once(fitted: FitResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There rich shows by itself what is printed to it."""
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert str(fitted) == fitted.report()
+    assert "brightness" in str(fitted)
+    assert "brightness" in fitted._repr_html_()
 
 
 def test_a_pickle_holds_all_but_the_photo(fitted: FitResult) -> None:
@@ -297,5 +321,8 @@ def test_the_photo_of_a_scene_has_its_tone_curve_and_mask(tmp_path: Path) -> Non
     (tmp_path / "scene.toml").write_text(SCENE)
     with pytest.raises(InputError, match="the scene names none; write path into its"):
         load_photo(load_scene(tmp_path / "scene.toml").photo)
+    for slip in ("", {}, 0):
+        with pytest.raises(InputError, match="none of the known curves"):
+            load_photo(settings, slip)
     with pytest.raises(InputError, match=r"is a SceneFile; give its \.photo"):
         load_photo(load_scene(tmp_path / "scene.toml"))
