@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fit._choices import check_sampling
 from fit._loss import Loss
 from fit._photo import REASONS, Photo
-from fit._pixels import Columns, check_sampling, choose_pixels, take_columns, to_samples
+from fit._pixels import Columns, choose_pixels, take_columns, to_samples
 from fit._reduce import BINS, THIN, bins, moments, thinned
 from fit._solve import exact_gram
 from fit._stream import TILE, Model, Samples

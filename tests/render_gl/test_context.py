@@ -117,10 +117,11 @@ else:
 def test_a_process_that_ends_is_told_so() -> None:
     [line] = run("""
 import atexit
+render = render_gl.render  # imported before the end, when Python starts no more threads
 @atexit.register
 def draw():
     try:
-        render_gl.render(scene(), "linear")
+        render(scene(), "linear")
     except Exception as error:
         print(type(error).__name__, error)
 """)
