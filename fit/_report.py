@@ -257,7 +257,7 @@ def _look_at(
 def _look_at_photo(
     photo: np.ndarray | Photo, used: np.ndarray, curve: ToneCurve, count: int
 ) -> dict[str, Any]:
-    """The same of a photo that nothing was fitted to: what it shows, and which pixels are air."""
+    """What the picture section needs of a photo that nothing was fitted to."""
     display = pictures.display_of(photo, curve)
     shown = pictures.picture(photo, display, PICTURE_BYTES // count)
     places = pictures.signed_picture(
