@@ -412,7 +412,10 @@ LONG = "x" * 5000
 LINES: dict[str, tuple[tuple[str, ...], str]] = {
     "long option": ((*FIT, "--bounds", LONG), "xxx: must be NAME=LOW:HIGH"),
     "long switch": (("check", "scene.toml", f"--json={LONG}"), "See `airlight check --help`."),
-    "escape in an option": ((*FIT, "--prior", "\x1b[31m=1:1"), r"prior: '\x1b[31m' is no"),
+    "escape in an option": (
+        (*FIT, "--prior", "\x1b[31m=1:1"),
+        r"--prior \x1b[31m=1:1: '\x1b[31m' is no",
+    ),
     "escape in a form": ((*FIT, "--prior", "\x1b[31m"), r"--prior \x1b[31m: must be NAME"),
     "bytes in an option": ((*FIT, "--prior", "\udcff"), r"--prior \udcff: must be NAME"),
     "escape in a name": (("render", "scene.toml", "-o", "\x1b[31m"), r"\x1b[31m: is neither .exr"),
