@@ -430,8 +430,7 @@ def _in_view(layers: "Layers") -> bool:
     """Some pixel shows the planet, or air."""
     import numpy as np
 
-    has_air = np.asarray(layers.back) > np.asarray(layers.front)
-    return bool(has_air.any() or (layers.planet is not None and np.any(layers.planet)))
+    return bool(np.any(layers.has_air) or (layers.planet is not None and np.any(layers.planet)))
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -17,7 +17,6 @@ import platformdirs
 
 _KEPT = {
     "jax_persistent_cache_min_compile_time_secs": 0,
-    "jax_persistent_cache_min_entry_size_bytes": 0,
     "jax_compilation_cache_max_size": 2**28,
 }
 """All programs, for it is many small ones that take the time; a first fit's are 0.4 MB. JAX removes

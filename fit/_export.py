@@ -20,7 +20,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from model_jax._errors import InputError, printable, shown
 from model_jax._parameter import PARAMETERS, RESPONSE_PARAMETERS
@@ -28,9 +28,6 @@ from render_gl._files import PathLike, check_file, write_whole
 
 from ._verdict import VERDICTS, Verdict
 from ._wording import share
-
-if TYPE_CHECKING:
-    from model_jax import Look
 
 CHANNELS = ("r", "g", "b")
 UNIFORM_TYPES = {"brightness": "float", "shadow": "vec3", "tint": "vec3", "background": "vec3"}
@@ -87,8 +84,6 @@ class Fitted:
     """Each photo, with its scene file or layer file."""
     explained: float | None
     """Share of the light's variance that the model explains."""
-    look_values: dict[str, float | list[float]]
-    """The look's fields; one number or three in shadow and background, as it was fitted."""
     numbers: tuple[Number, ...]
     """All parameters: look, response photo by photo, and unknown ones by name."""
     scene: tuple[Number, ...]
@@ -98,14 +93,6 @@ class Fitted:
     """How widths are measured, a key of `PATHS`."""
     warnings: tuple[str, ...]
     """Of the fit."""
-
-    @property
-    def look(self) -> "Look":
-        """The look as a record."""
-        from model_jax import Look
-
-        values: dict[str, Any] = self.look_values
-        return Look(**values)
 
     @property
     def warning(self) -> str | None:
@@ -222,7 +209,7 @@ def _fitted(path: str, document: Any) -> Fitted:
             "and fit again"
         )
     numbers = {name: _number(name, entry) for name, entry in document["parameters"].items()}
-    look_values = _look({name: number.value for name, number in numbers.items()})
+    _check_look({name: number.value for name, number in numbers.items()})
     warnings = document["warnings"] if isinstance(document.get("warnings"), list) else []
     warnings = [*warnings, *_other_scenes(document)]
     return Fitted(
@@ -230,7 +217,6 @@ def _fitted(path: str, document: Any) -> Fitted:
         verdict=verdict,
         sources=tuple(_sources(document)),
         explained=_finite(document.get("explained")),
-        look_values=look_values,
         numbers=tuple(sorted(numbers.values(), key=_rank)),
         scene=tuple(_scene(document)),
         atmosphere_path=next((p for p in PATHS if p == document.get("atmosphere_path")), None),
@@ -262,45 +248,44 @@ def _number(name: str, entry: Any) -> Number:
     )
 
 
-def _look(values: dict[str, float]) -> dict[str, float | list[float]]:
-    """The look among the values, once it is one that `Look` would take."""
-    found: dict[str, float | list[float]] = {}
+def _check_look(values: dict[str, float]) -> None:
+    """Raise `InputError` unless the values hold a look that `Look` would take."""
     for family, about in PARAMETERS.items():
         channels = [f"{family}.{channel}" for channel in CHANNELS]
         there = [name for name in (family, *channels) if name in values]
-        if there == [family]:
-            found[family] = values[family]
-        elif there == channels:
-            found[family] = [values[name] for name in channels]
-        else:
+        if there not in ([family], channels):
             state = f"has {' and '.join(there)} only" if there else f"has no {family}"
             if family in there:
                 state = f"has {family} as one number and per channel"
             raise InputError(f"parameters: {state}; run the fit again")
-        low = [values[name] for name in there if values[name] < about.lower]
-        if low:
+        if there != {"brightness": [family], "tint": channels}.get(family, there):
             raise InputError(
-                f"look.{family}: {shown(low[0])} must be at least {about.lower:g}; run the fit "
-                "again"
+                "parameters: brightness must be one number, and tint three; run the fit again"
             )
-    if isinstance(found["brightness"], list) or not isinstance(found["tint"], list):
-        raise InputError(
-            "parameters: brightness must be one number, and tint three; run the fit again"
-        )
-    return found
+        for name in there:
+            if values[name] < about.lower:
+                raise InputError(
+                    f"look.{family}: {shown(values[name])} must be at least {about.lower:g}; run "
+                    "the fit again"
+                )
+
+
+def _photos(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """What it says of each photo; schema 1 has no list of them."""
+    photos = document.get("photos")
+    return [p for p in photos if isinstance(p, dict)] if isinstance(photos, list) else []
 
 
 def _sources(document: dict[str, Any]) -> Iterator[tuple[str, str | None]]:
     """Photos by their names; schema 1 names its one photo at the top only."""
-    photos = document.get("photos")
-    named = [p for p in photos if isinstance(p, dict)] if isinstance(photos, list) else []
+    named = _photos(document)
     for photo in named if all("photo" in p for p in named) and named else [document]:
         scene = photo.get("scene") or document.get("layers")
         yield str(photo.get("photo") or "unnamed"), None if scene is None else str(scene)
 
 
 def _scene(document: dict[str, Any]) -> Iterator[Number]:
-    """Lengths and the air's colour; schema 2 has them since its second version only."""
+    """Lengths and the air's colour; files of earlier versions have less."""
     found: dict[str, tuple[Any, str, str]] = {
         name: (document.get(name), unit, meaning)
         for name, unit, meaning in (
@@ -324,11 +309,10 @@ def _scene(document: dict[str, Any]) -> Iterator[Number]:
 
 def _other_scenes(document: dict[str, Any]) -> Iterator[str]:
     """What is of the first photo's scene only, of several photos."""
-    photos = document.get("photos")
-    named = [p for p in photos if isinstance(p, dict)] if isinstance(photos, list) else []
+    first, *others = _photos(document) or [{}]
     keys = ("color", "planet_radius", "atmosphere_height", "atmosphere_path", "width_unit")
-    for number, photo in enumerate(named[1:], 2):
-        if differing := [key for key in keys if photo.get(key) != named[0].get(key)]:
+    for number, photo in enumerate(others, 2):
+        if differing := [key for key in keys if photo.get(key) != first.get(key)]:
             yield f"Of photo 1 only: {', '.join(differing)}. Photo {number}'s scene has others."
 
 

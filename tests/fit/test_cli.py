@@ -13,8 +13,8 @@ from PIL import Image
 
 import render_gl
 from fit import _job, _search
-from fit._cli import main
 from model_jax import DriverError
+from tests.command import airlight
 from tests.scene_text import SCENE
 
 
@@ -25,18 +25,6 @@ def here(tmp_path: Path, monkeypatch) -> Path:
     (tmp_path / "scene.toml").write_text(SCENE)
     assert airlight("render", "scene.toml", "-o", "photo.png") == 0
     return tmp_path
-
-
-def airlight(*words: str) -> int:
-    """Run the command in this process; returns the exit code."""
-    from unittest import mock
-
-    with mock.patch.object(sys, "argv", ["airlight", *words]):
-        try:
-            main()
-        except SystemExit as stop:
-            return int(stop.code or 0)
-        return 0
 
 
 def test_render_writes_layers_and_picture_in_one_file(here: Path) -> None:

@@ -10,12 +10,10 @@ import dataclasses
 import io
 import json
 import re
-import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import jax
 import numpy as np
@@ -25,7 +23,6 @@ from hypothesis import strategies as st
 
 import render_gl
 from fit import fit
-from fit._cli import main
 from fit._export import Format, Number, export_text, float_literal, read_fit
 from model_jax import PARAMETERS, InputError, Look, Scene, combine, composite, layer_widths
 from render_gl import _shaders
@@ -33,6 +30,7 @@ from render_gl._context import on_gl
 from render_gl._draw import draw
 from render_gl._parity import EPS, Parity, compare, measure_division
 from render_gl._render import frame_layers
+from tests.command import airlight
 from tests.scene_text import resized
 
 from .looks import START, TRUTH, picture, scene
@@ -76,16 +74,6 @@ def written(tmp_path: Path) -> Callable[[dict[str, Any]], Path]:
         return path
 
     return write
-
-
-def airlight(*words: object) -> int:
-    """Run the command in this process; returns the exit code."""
-    with mock.patch.object(sys, "argv", ["airlight", *map(str, words)]):
-        try:
-            main()
-        except SystemExit as stop:
-            return int(stop.code or 0)
-        return 0
 
 
 # --- round trip through a shader ----------------------------------------------------------------
