@@ -18,8 +18,8 @@ demo: $(ready) ## Fit the example photo and write demo/report.html
 test: $(ready) ## Run the tests; options for pytest go into PYTEST_ARGS
 	$(bin)/python -m pytest -m "not full" -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(PYTEST_ARGS)
 
-test-full: $(ready) ## Run the tests and the full sweep
-	$(bin)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(PYTEST_ARGS)
+test-full: $(ready) ## Run the tests and the full sweep, compiled as users compile (tests/conftest.py)
+	XLA_FLAGS="$(XLA_FLAGS)" $(bin)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(PYTEST_ARGS)
 
 lint: $(ready) ## Check style and formatting
 	$(bin)/ruff check

@@ -58,7 +58,7 @@ def test_paper_scene_passes_the_check() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["paper", "reference", *(pytest.param(n, marks=pytest.mark.full) for n in ("epic", "iss"))],
+    ["paper", *(pytest.param(n, marks=pytest.mark.full) for n in ("reference", "epic", "iss"))],
 )
 def test_no_gradient_is_nan_on_any_example(name: str) -> None:
     scene = render_gl.load_scene(EXAMPLES / f"{name}.toml").scene
@@ -133,9 +133,10 @@ def test_iss_photo_does_not_tell_the_shadow_weight(tmp_path: Path, data_dir: Pat
 def test_rendered_linear_layers_give_the_look_back(tmp_path: Path) -> None:
     """Step 1: brightness 3.0 and shadow 0.2 to 1e-4 from a GLSL-rendered linear EXR."""
     file = render_gl.load_scene(EXAMPLES / "paper.toml")
-    picture = render_gl.render_image(file.scene, file.look, "linear")
-    layers = render_gl.render(file.scene, "linear")
-    render_gl.write_layers(tmp_path / "layers.exr", layers, file.scene)
+    scene = eqx.tree_at(lambda s: s.camera, file.scene, file.scene.camera.resized(320, 256))
+    picture = render_gl.render_image(scene, file.look, "linear")
+    layers = render_gl.render(scene, "linear")
+    render_gl.write_layers(tmp_path / "layers.exr", layers, scene)
     render_gl.write_picture(tmp_path / "photo.exr", picture)
     photo = load_photo(tmp_path / "photo.exr")
     result = fit(photo, render_gl.read_layers(tmp_path / "layers.exr"))

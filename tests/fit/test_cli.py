@@ -18,12 +18,20 @@ from tests.command import airlight
 from tests.scene_text import SCENE
 
 
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """scene.toml and photo.png, a render of it."""
+    folder = tmp_path_factory.mktemp("drawn")
+    (folder / "scene.toml").write_text(SCENE)
+    assert airlight("render", folder / "scene.toml", "-o", folder / "photo.png") == 0
+    return folder
+
+
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch) -> Path:
-    """A folder to work in, with scene.toml and photo.png, a render of it."""
+def here(drawn: Path, tmp_path: Path, monkeypatch) -> Path:
+    """A folder to work in, with a scene and its photo."""
+    shutil.copytree(drawn, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "scene.toml").write_text(SCENE)
-    assert airlight("render", "scene.toml", "-o", "photo.png") == 0
     return tmp_path
 
 
@@ -177,7 +185,7 @@ def test_check_of_nothing_is_no_pass(here: Path, capsys) -> None:
     assert "nothing could be compared" in printed
 
 
-@pytest.mark.parametrize("source", ["raster", "mesh"])
+@pytest.mark.parametrize("source", ["raster", pytest.param("mesh", marks=pytest.mark.full)])
 @pytest.mark.parametrize("name", ["sz_640x480", "sz_333x217", "reference_1024", "near_plane_bound"])
 def test_check_passes_where_it_failed(name: str, source: str, here, data_dir: Path) -> None:
     """A shadow's back without its front at three sizes; 1 ulp at the near plane."""
@@ -193,9 +201,9 @@ def test_check_fails_with_exit_code_1(here: Path, monkeypatch) -> None:
 
 
 def test_other_photo_sizes_of_the_same_shape_are_drawn_at_the_photos_size(here: Path) -> None:
-    assert airlight("render", "scene.toml", "-o", "big.png", "--size", "320x240") == 0
-    assert airlight("fit", "scene.toml", "big.png", "-o", "out") == 0
-    assert json.loads(Path("out/fit.json").read_text())["pixels"]["total"] == 320 * 240
+    assert airlight("render", "scene.toml", "-o", "small.png", "--size", "80x60") == 0
+    assert airlight("fit", "scene.toml", "small.png", "-o", "out") == 0
+    assert json.loads(Path("out/fit.json").read_text())["pixels"]["total"] == 80 * 60
 
 
 def test_sun_behind_the_camera_leaves_the_shadow_out_and_does_not_spoil_the_verdict(here) -> None:
@@ -220,6 +228,7 @@ def test_a_linear_exr_is_linear_whatever_the_scenes_own_photo_is(here: Path) -> 
     assert document["parameters"]["shadow"]["value"] == pytest.approx(0.2, rel=1e-4)
 
 
+@pytest.mark.full  # a kind of fit of its own; `test_photo` reads such a file, `test_grey` fits one
 def test_a_grey_exr_is_a_photo(here: Path) -> None:
     airlight("render", "scene.toml", "-o", "photo.exr")
     channels, _ = render_gl.read_channels("photo.exr")
@@ -410,7 +419,14 @@ ENDS = {
 }
 
 
-@pytest.mark.parametrize(("verdict", "words"), ENDS.items(), ids=ENDS)
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        # One that is no failure and one that is; the others take the same way.
+        pytest.param(v, w, id=v, marks=() if v in ("at_bound", "diverged") else pytest.mark.full)
+        for v, w in ENDS.items()
+    ],
+)
 def test_verdicts_have_exit_codes(here: Path, capsys, monkeypatch, verdict, words) -> None:
     """0 with a line of warning at a bound, else 1; the results are written all the same."""
     if verdict == "not_converged":  # the exact steps at the end save every descent that is known

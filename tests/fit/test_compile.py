@@ -44,8 +44,15 @@ def test_importing_starts_no_device(monkeypatch: pytest.MonkeyPatch) -> None:
     assert asked
 
 
-@pytest.mark.parametrize("variable", ["JAX_ENABLE_X64", "JAX_DEBUG_NANS"])
-@pytest.mark.parametrize("traced", [False, True])
+@pytest.mark.parametrize(
+    ("traced", "variable"),
+    [
+        (False, "JAX_DEBUG_NANS"),
+        (True, "JAX_ENABLE_X64"),
+        pytest.param(False, "JAX_ENABLE_X64", marks=pytest.mark.full),
+        pytest.param(True, "JAX_DEBUG_NANS", marks=pytest.mark.full),
+    ],
+)
 def test_settings_of_jax_are_no_matter(variable: str, traced: bool) -> None:
     """In processes of their own, as a user sets them; a float32 photo with noise."""
     program = f"""

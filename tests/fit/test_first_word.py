@@ -195,11 +195,14 @@ finally:
 """
 
 
-def demo(folder: Path, **variables: str) -> tuple[int, int]:
-    """`make demo`; returns how many programs it asked for, and how many of them had been kept."""
+DEMO = ("fit", SCENE, PHOTO, "-o", "demo")
+
+
+def counted(folder: Path, *words: object, **variables: str) -> tuple[int, int]:
+    """Runs a command; returns how many programs it asked for, and how many had been kept."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
     done = subprocess.run(
-        [sys.executable, "-c", COUNTED, "fit", SCENE, PHOTO, "-o", folder / "demo"],
+        [sys.executable, "-c", COUNTED, *words],
         capture_output=True,
         text=True,
         check=False,
@@ -213,12 +216,12 @@ def demo(folder: Path, **variables: str) -> tuple[int, int]:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="XDG_CACHE_HOME is Linux's")
 def test_a_second_demo_compiles_nothing(tmp_path: Path) -> None:
-    asked, kept = demo(tmp_path)
+    asked, kept = counted(tmp_path, *DEMO)
     assert kept < 5 < 10 < asked, "only what one command asks for twice"
     programs = sorted((tmp_path / "cache" / "airlight" / "xla").glob("*-cache"))
     assert len(programs) > 10
     values = json.loads((tmp_path / "demo" / "fit.json").read_text())["parameters"]
-    asked, kept = demo(tmp_path)
+    asked, kept = counted(tmp_path, *DEMO)
     assert sorted((tmp_path / "cache" / "airlight" / "xla").glob("*-cache")) == programs, (
         "the same programs under the same names"
     )
@@ -230,9 +233,11 @@ def test_a_second_demo_compiles_nothing(tmp_path: Path) -> None:
 
 def test_programs_are_not_kept_where_they_cannot_or_shall_not_be(tmp_path: Path) -> None:
     (tmp_path / "cache").write_text("a file, no folder")
-    assert demo(tmp_path)[1] == 0
+    drawing = ("render", SCENE, "-o", "a.exr", "--source", "analytic", "--size", "72x54")
+    asked, kept = counted(tmp_path, *drawing)
+    assert kept == 0 < asked
     (tmp_path / "cache").unlink()
-    assert demo(tmp_path, JAX_ENABLE_COMPILATION_CACHE="false") == (0, 0)
+    assert counted(tmp_path, *drawing, JAX_ENABLE_COMPILATION_CACHE="false") == (0, 0)
     assert not list((tmp_path / "cache").rglob("*-cache"))
 
 

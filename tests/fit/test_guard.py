@@ -13,6 +13,7 @@ from PIL import Image
 import render_gl
 from fit import _guard
 from model_jax import Look, analytic_layers, composite
+from tests.command import airlight
 from tests.scene_text import resized
 
 
@@ -23,12 +24,19 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def airlight(*words: str | bytes, **variables: str) -> subprocess.CompletedProcess[bytes]:
+def alone(*words: str | bytes, **variables: str) -> subprocess.CompletedProcess[bytes]:
     """The installed command in a process of its own: that is what has a terminal."""
     command = [os.fsencode(Path(sys.executable).parent / "airlight"), *map(os.fsencode, words)]
     return subprocess.run(
         command, env=os.environ | variables, capture_output=True, timeout=300, check=False
     )
+
+
+def inside(capfd: pytest.CaptureFixture[str], *words: str | bytes) -> tuple[int, str]:
+    """The command in this process; returns its exit code and what it says on standard error."""
+    capfd.readouterr()
+    code = airlight(*map(os.fsdecode, words))
+    return code, capfd.readouterr().err
 
 
 def guarded(body: str) -> subprocess.CompletedProcess[str]:
@@ -89,21 +97,26 @@ def test_faults_of_the_machine_are_named(fault: str, line: str, code: int) -> No
     assert done.stderr.count("\n") == 1
 
 
-def test_a_platform_without_a_device_is_named_before_the_work(here: Path) -> None:
+@pytest.mark.parametrize(
+    "words",
+    [
+        pytest.param(("render", "scene.toml", "-o", "a.exr"), marks=pytest.mark.full, id="render"),
+        pytest.param(("fit", "scene.toml", "scene.toml", "-o", "b"), id="fit"),
+    ],
+)
+def test_a_platform_without_a_device_is_named_before_the_work(
+    words: tuple[str, ...], here: Path
+) -> None:
     """JAX_PLATFORMS=cuda without a GPU was 106 lines."""
-    for words in (
-        ["render", "scene.toml", "-o", "a.exr"],
-        ["fit", "scene.toml", "scene.toml", "-o", "b"],
-    ):
-        done = airlight(*words, JAX_PLATFORMS="cuda")
-        assert (done.returncode, done.stdout) == (2, b"")
-        assert done.stderr == (
-            b"airlight: JAX finds no device to compute on; JAX_PLATFORMS is 'cuda': unset it, or "
-            b"set JAX_PLATFORMS=cpu\n"
-        )
+    done = alone(*words, JAX_PLATFORMS="cuda")
+    assert (done.returncode, done.stdout) == (2, b"")
+    assert done.stderr == (
+        b"airlight: JAX finds no device to compute on; JAX_PLATFORMS is 'cuda': unset it, or "
+        b"set JAX_PLATFORMS=cpu\n"
+    )
 
 
-def test_names_that_are_no_text(here: Path) -> None:
+def test_names_that_are_no_text(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The fit of a photo whose name is no UTF-8 failed at its very end, with EXR files left."""
     scene = render_gl.load_scene("scene.toml").scene
     picture = np.asarray(composite(analytic_layers(scene), Look()))
@@ -112,23 +125,23 @@ def test_names_that_are_no_text(here: Path) -> None:
         os.fsencode(photo), format="PNG"
     )
     os.rename("scene.toml", b"s\xff.toml")
-    done = airlight("fit", b"s\xff.toml", b"p\xff.png", "-o", "out", "--source", "analytic")
-    assert done.stderr == b""
+    words = ("fit", b"s\xff.toml", b"p\xff.png", "-o", "out", "--source", "analytic")
+    assert inside(capfd, *words)[1] == ""
     assert sorted(os.listdir("out"))[0] == "fit.json"
     assert r"p\\xff.png" in Path("out/fit.json").read_text()
     assert r"p\xff.png" in Path("out/report.html").read_text()
     for words, line in (
-        (["fit", b"s\xff.toml", b"p\xff.png", "-o", b"o\xff"], rb"o\xff: is no UTF-8 text"),
-        (["render", b"s\xff.toml", "-o", b"r\xff.exr"], rb"r\xff.exr: is no UTF-8 text"),
-        (["fit", b"s\xff.toml", b"p\xff.png", "-o", ""], b"-o: is empty; name a folder"),
-        (["check", b"s\xff.toml", "-o", ""], b"-o: is empty; name a folder"),
-        (["render", b"s\xff.toml", "-o", ""], b"-o: is empty; name a file"),
-        (["export", "out/fit.json", "--to", "csv", "-o", ""], b"write is empty; name one"),
+        (["fit", b"s\xff.toml", b"p\xff.png", "-o", b"o\xff"], r"o\xff: is no UTF-8 text"),
+        (["render", b"s\xff.toml", "-o", b"r\xff.exr"], r"r\xff.exr: is no UTF-8 text"),
+        (["fit", b"s\xff.toml", b"p\xff.png", "-o", ""], "-o: is empty; name a folder"),
+        (["check", b"s\xff.toml", "-o", ""], "-o: is empty; name a folder"),
+        (["render", b"s\xff.toml", "-o", ""], "-o: is empty; name a file"),
+        (["export", "out/fit.json", "--to", "csv", "-o", ""], "write is empty; name one"),
     ):
-        done = airlight(*words)
-        assert done.returncode == 2
-        assert line in done.stderr
-        assert done.stderr.count(b"\n") == 1
+        code, said = inside(capfd, *words)
+        assert code == 2
+        assert line in said
+        assert said.count("\n") == 1
 
 
 def test_output_that_cannot_be_written(here: Path) -> None:
@@ -137,18 +150,18 @@ def test_output_that_cannot_be_written(here: Path) -> None:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr == "airlight: the disk is full (standard output); free some space\n"
-    done = airlight("version", PYTHONIOENCODING="ascii")
+    done = alone("version", PYTHONIOENCODING="ascii")
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-def test_what_a_mask_holds_is_not_told(here: Path) -> None:
+def test_what_a_mask_holds_is_not_told(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     Path("secret").write_bytes(b"password=1234")
     for words in (
         ["fit", "scene.toml", "secret", "-o", "out"],
         ["fit", "--layers", "secret", "scene.toml", "-o", "out"],
         ["fit", "scene.toml", "scene.toml", "--mask", "secret", "-o", "out"],
     ):
-        done = airlight(*words)
-        assert done.returncode == 2
-        assert b"pass" not in done.stderr
-        assert done.stderr.count(b"\n") == 1
+        code, said = inside(capfd, *words)
+        assert code == 2
+        assert "pass" not in said
+        assert said.count("\n") == 1

@@ -208,7 +208,13 @@ def test_noise_is_no_misfit(layers: Layers) -> None:
     assert alarms <= 2
 
 
-@pytest.mark.parametrize("kind", ["rounded", "by_brightness", "blurred", "clipped", "compressed"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("rounded", "clipped", "compressed"),
+        *(pytest.param(kind, marks=pytest.mark.full) for kind in ("by_brightness", "blurred")),
+    ],
+)
 def test_other_noise_is_none_either(kind: str, layers: Layers, tmp_path: Path) -> None:
     """Correlated, of all sizes, rounded, and made by compression: 8 photos of each, of which two
     alarms or more come once in two hundred times."""
@@ -283,7 +289,7 @@ def supersampled(samples: int, seeds: range, noise: float = 0.003) -> float:
     return float(np.mean(covered))
 
 
-@pytest.mark.parametrize("samples", [2, 4])
+@pytest.mark.parametrize("samples", [pytest.param(2, marks=pytest.mark.full), 4])
 def test_antialiased_limbs(samples: int) -> None:
     """A sample of ten scenes: 90 % of their intervals at least, less three standard deviations of
     60 (√(0.9 · 0.1 / 60) = 4 %)."""
@@ -367,8 +373,8 @@ def test_false_alarms() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_plain_misfits_are_not_silent(kind: str) -> None:
-    """A sample of the sweep: none in eight."""
-    for seed in range(1000, 1008):
+    """A sample of the sweep: none in four."""
+    for seed in range(1000, 1004):
         result, found, off = distorted(kind, seed)
         if found:
             assert is_warned(result) or np.nanmax(off) < FIVE, seed

@@ -120,6 +120,9 @@ class TestFormats:
         write_channels(tmp_path / "b.exr", {"Z": planes["R"], "G": planes["G"]}, {})
         with pytest.raises(InputError, match=r"channels \['G', 'Z'\]; a photo needs R, G and B"):
             load_photo(tmp_path / "b.exr")
+        write_channels(tmp_path / "grey.exr", {"Y": planes["G"]}, {})
+        grey = load_photo(tmp_path / "grey.exr").linear
+        np.testing.assert_array_equal(grey, np.repeat(planes["G"][..., None], 3, axis=-1))
 
     def test_content_decides_not_the_extension(self, tmp_path: Path) -> None:
         codes = codes_of("uint8", 3)

@@ -27,12 +27,20 @@ def stack(layers: Layers) -> np.ndarray:
     return np.stack([*noisy, np.zeros_like(clean)]).astype(np.float32)
 
 
-def test_vmap_over_photos_is_a_loop_over_fits(layers: Layers, stack: np.ndarray) -> None:
+@pytest.fixture(scope="module")
+def fit_four(layers: Layers) -> Callable[[np.ndarray], TracedFit]:
+    """Of four photos at once, compiled once for all tests."""
+    return jax.jit(jax.vmap(lambda photo: fit(photo, layers, START)))
+
+
+def test_vmap_over_photos_is_a_loop_over_fits(
+    fit_four: Callable[[np.ndarray], TracedFit], layers: Layers, stack: np.ndarray
+) -> None:
     """In float32, whose sums over 35,000 samples are good to about 1e-5 of a standard error's size.
 
     The bound is a tenth of a standard error: far above float32, far below what would matter.
     """
-    many = jax.jit(jax.vmap(lambda photo: fit(photo, layers, START)))(jnp.asarray(stack))
+    many = fit_four(stack)
     assert isinstance(many, TracedFit)
     converged = int(Verdict.CONVERGED)
     assert many.verdict.tolist() == [converged] * 3 + [int(Verdict.NO_DATA)]
@@ -50,7 +58,9 @@ def test_vmap_over_photos_is_a_loop_over_fits(layers: Layers, stack: np.ndarray)
         assert np.all((ratio > 0.5) & (ratio < 2.0))
 
 
-def test_a_bound_is_told_as_in_a_loop(layers: Layers) -> None:
+def test_a_bound_is_told_as_in_a_loop(
+    fit_four: Callable[[np.ndarray], TracedFit], layers: Layers
+) -> None:
     """A shadow that would have to be darker than black: the weight ends at 0, without an error."""
     some, more = (
         picture(layers, Look(3.0, weight, TRUTH.tint, TRUTH.background)) for weight in (0.2, 0.4)
@@ -59,7 +69,7 @@ def test_a_bound_is_told_as_in_a_loop(layers: Layers) -> None:
     photo = (some - 1.5 * (more - some) + noise).astype(np.float32)  # at a weight of -0.1
     known = fit(photo, layers, START)
     assert known.verdict == "at_bound"
-    traced = jax.jit(lambda photo: fit(photo, layers, START))(photo)
+    traced = jax.tree.map(lambda of_four: of_four[0], fit_four(np.stack([photo] * 4)))
     assert int(traced.verdict) == Verdict.AT_BOUND
     assert float(traced.look.shadow) == pytest.approx(0, abs=1e-3)
     errors = dict(zip(traced.names, np.diag(traced.covariance), strict=True))
@@ -68,10 +78,12 @@ def test_a_bound_is_told_as_in_a_loop(layers: Layers) -> None:
     assert float(traced.look.brightness) == pytest.approx(known.look.brightness, abs=0.1 * stderr)
 
 
-def test_samples_that_are_not_finite_do_not_count(layers: Layers, stack: np.ndarray) -> None:
+def test_samples_that_are_not_finite_do_not_count(
+    fit_four: Callable[[np.ndarray], TracedFit], layers: Layers, stack: np.ndarray
+) -> None:
     broken = stack[0].copy()
     broken[20:40, 30:60] = np.nan
-    traced = jax.jit(lambda photo: fit(photo, layers, START))(broken)
+    traced = jax.tree.map(lambda of_four: of_four[3], fit_four(np.stack([*stack[1:], broken])))
     known = fit(broken, layers, START)
     assert int(traced.verdict) == Verdict.CONVERGED
     assert float(traced.look.shadow) == pytest.approx(float(known.look.shadow), rel=1e-4)
