@@ -8,7 +8,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-REPOSITORY = Path(__file__).resolve().parent.parent
+from .data import FOLDER, REPOSITORY
+
 # What one worker or command has compiled the next one reads. JAX looks at these when imported.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(REPOSITORY / ".pytest_cache" / "xla"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
@@ -19,10 +20,10 @@ os.environ.setdefault(
     "XLA_FLAGS", "--xla_backend_optimization_level=1 --xla_cpu_parallel_codegen_split_count=1"
 )
 
-import jax  # noqa: E402
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-from jaxtyping import install_import_hook  # noqa: E402
+import jax
+import numpy as np
+import pytest
+from jaxtyping import install_import_hook
 
 install_import_hook(["model_jax", "render_gl", "fit"], "beartype.beartype")
 # Shapes of different rank never meet by accident: [w] + [h, w] raises.
@@ -61,11 +62,7 @@ def key() -> jax.Array:
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
-    """The folder of photos and damaged files, too large for the repository.
-
-    `AIRLIGHT_DATA`, else `../shared/data` beside the repository.
-    """
-    folder = Path(os.environ.get("AIRLIGHT_DATA", REPOSITORY.parent / "shared" / "data"))
-    if not folder.is_dir():
-        pytest.skip(f"no data folder at {folder}; set AIRLIGHT_DATA to run the tests that read it")
-    return folder
+    """The folder of photos and damaged files."""
+    if not FOLDER.is_dir():
+        pytest.skip(f"no data folder at {FOLDER}; set AIRLIGHT_DATA to run the tests that read it")
+    return FOLDER

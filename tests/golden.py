@@ -13,7 +13,6 @@ import argparse
 import hashlib
 import json
 import math
-import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -27,14 +26,14 @@ from PIL import Image
 
 from fit import FitResult, fit, load_photo
 from fit._job import Job, run_job
-from model_jax import Layers, Look, Occluder, Response, Scene, Srgb, analytic_layers, record
+from model_jax import Layers, Look, Occluder, Response, Scene, Srgb, record
 from render_gl import check_scene, load_scene, render, render_image
 from render_gl._choices import Source
 
-from .fit.looks import START, TRUTH, picture, scene
+from .data import FOLDER, REPOSITORY
+from .fit.looks import START, TRUTH, exact_layers, picture, scene
 from .model_jax.scenes import scene_of
 
-REPOSITORY = Path(__file__).resolve().parent.parent
 EXAMPLES = REPOSITORY / "examples"
 GOLDEN = Path(__file__).with_name("golden.json")
 
@@ -51,18 +50,11 @@ COST_OF_PHOTO = 1e-5
 """Relative, where another processor makes the layers in float32: an error of 2^-23 of the light of
 each sample, twice, over residuals of 0.02 and more, if all went one way."""
 FIGURE = 1e-2
-"""Relative, of what describes a fit or a picture in a few digits: errors of errors, correlations,
-the largest rounding of a picture. They serve the bit-for-bit comparison; here they only catch what
-is plainly another thing."""
+"""Relative, of what describes a fit or a picture in a few digits: errors, correlations, means. They
+serve the bit-for-bit comparison; here they only catch what is plainly another thing."""
 
 
-# ---------------------------------------------------------------------------------------- fits
-
-
-def exact_layers(scene: Scene) -> Layers:
-    """In float64, so that another processor gives the same to 1e-15."""
-    with jax.enable_x64(True):
-        return jax.tree.map(np.asarray, analytic_layers(scene, np.float64))
+# --- fits ---------------------------------------------------------------------------------------
 
 
 def noise(shape: tuple[int, ...], size: float, seed: int = 0) -> np.ndarray:
@@ -148,7 +140,7 @@ def told(result: FitResult) -> Document:
     return document
 
 
-# ------------------------------------------------------------------------------------- renders
+# --- renders ------------------------------------------------------------------------------------
 
 
 def drawn(scene: Scene, depth: str = "auto", source: Source = "raster") -> Document:
@@ -161,9 +153,8 @@ def drawn(scene: Scene, depth: str = "auto", source: Source = "raster") -> Docum
         for name, value in vars(layers).items()
         if name != "reference" and value is not None and np.ndim(value) >= 2
     } | {"picture": render_image(scene, look, depth, source)}
-    told = {key: found[key] for key in ("passed", "depth", "depth_reason")}
     return {
-        "check": told,
+        "check": {key: found[key] for key in ("passed", "depth", "depth_reason")},
         "mean": {name: float(np.mean(a, dtype=np.float64)) for name, a in arrays.items()},
         "exact": {name: digest(np.ascontiguousarray(a)) for name, a in arrays.items()}
         | {"check": found},
@@ -199,7 +190,7 @@ def in_the_shell() -> Document:
     return drawn(inside, "reversed32f")
 
 
-# ------------------------------------------------------------------------------------ the net
+# --- the net ------------------------------------------------------------------------------------
 
 CASES: dict[str, Callable[[], Document]] = {
     "fit paper": paper,
@@ -270,14 +261,9 @@ def _parameters(made: Document, golden: Document, cost: float | None, where: str
         yield from differences(one, other, cost, where, "parameters", name)
 
 
-def data_folder() -> Path | None:
-    folder = Path(os.environ.get("AIRLIGHT_DATA", REPOSITORY.parent / "shared" / "data"))
-    return folder if folder.is_dir() else None
-
-
-def make(name: str, data: Path | None) -> Document:
+def make(name: str) -> Document:
     """One case, by name, as JSON reads it."""
-    document = CASES[name]() if name in CASES else PHOTOS[name](data)  # type: ignore[arg-type]
+    document = CASES[name]() if name in CASES else PHOTOS[name](FOLDER)
     return json.loads(json.dumps(document, allow_nan=False))
 
 
@@ -286,14 +272,13 @@ def main() -> None:
     words.add_argument("--write", action="store_true", help="make golden.json anew")
     words.add_argument("--near", action="store_true", help="allow for rounding")
     asked = words.parse_args()
-    data = data_folder()
-    names = [*CASES, *(PHOTOS if data else ())]
+    names = [*CASES, *(PHOTOS if FOLDER.is_dir() else ())]
     made = {}
     for name in names:
         print(name, file=sys.stderr)
-        made[name] = make(name, data)
+        made[name] = make(name)
     if asked.write:
-        if data is None:
+        if len(names) < len(CASES | PHOTOS):
             sys.exit("golden.json holds all cases: set AIRLIGHT_DATA to the photos' folder")
         GOLDEN.write_text(json.dumps(made, indent=1) + "\n")
         return

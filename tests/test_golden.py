@@ -1,7 +1,6 @@
 """Eight fits and four renders have the numbers that they had (see `golden`)."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -16,13 +15,14 @@ SAMPLED = ("fit paper", "fit two photos", "render relief", "render in the shell"
     "name", [pytest.param(n, marks=() if n in SAMPLED else pytest.mark.full) for n in golden.CASES]
 )
 def test_numbers_are_as_they_were(name: str) -> None:
-    check(name, golden.make(name, None), COST_OF_PHOTO if name == "fit reference" else COST)
+    check(name, golden.make(name), COST_OF_PHOTO if name == "fit reference" else COST)
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures("data_dir")
 @pytest.mark.parametrize("name", golden.PHOTOS)
-def test_numbers_of_photos_are_as_they_were(name: str, data_dir: Path) -> None:
-    check(name, golden.make(name, data_dir), COST_OF_PHOTO)
+def test_numbers_of_photos_are_as_they_were(name: str) -> None:
+    check(name, golden.make(name), COST_OF_PHOTO)
 
 
 def check(name: str, made: golden.Document, cost: float) -> None:

@@ -9,7 +9,7 @@ from model_jax import (
     analytic_layers,
 )
 
-from .looks import TRUTH, picture, scene
+from .looks import TRUTH, exact_layers, picture, scene
 
 
 @pytest.fixture(scope="module")
@@ -19,8 +19,7 @@ def layers() -> Layers:
 
 @pytest.fixture(scope="module")
 def layers64() -> Layers:
-    with jax.enable_x64(True):
-        return jax.tree.map(np.asarray, analytic_layers(scene(), np.float64))
+    return exact_layers(scene())
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from model_jax import (
     Planet,
     Scene,
     Sun,
+    analytic_layers,
     composite,
     layer_widths,
 )
@@ -38,6 +39,12 @@ def scene(unit: float = 1.0, sun: bool = True) -> Scene:
         atmosphere=Atmosphere(height=0.2 * unit),
         sun=Sun(direction=(1, 0.2, 0.3)) if sun else None,
     )
+
+
+def exact_layers(seen: Scene) -> Layers:
+    """In float64, and NumPy's, so that JAX's settings leave them as they are."""
+    with jax.enable_x64(True):
+        return jax.tree.map(np.asarray, analytic_layers(seen, np.float64))
 
 
 def picture(layers: Layers, look: Look) -> np.ndarray:

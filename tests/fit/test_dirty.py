@@ -12,10 +12,10 @@ from scipy.optimize import least_squares
 
 from fit import FitResult, fit, load_photo
 from fit._loss import TUNING
-from model_jax import Layers, Look, Srgb, analytic_layers, layer_widths
+from model_jax import Layers, Look, Srgb, layer_widths
 from render_gl._exr import write_channels
 
-from .looks import START, picture, scene
+from .looks import START, exact_layers, picture, scene
 from .test_photo import png
 
 TRUTH = Look(3.0, 0.2, (0.8, 0.9, 1.3), 0.1)
@@ -44,8 +44,7 @@ ALLOWED = {"cauchy": 0.01, "huber": 0.03, "soft_l1": 0.03}
 @cache
 def air() -> tuple[Layers, np.ndarray]:
     """Layers in float64, and where the fit looks: air in front of space."""
-    with jax.enable_x64(True):
-        layers = jax.tree.map(np.asarray, analytic_layers(scene(), np.float64))
+    layers = exact_layers(scene())
     return layers, np.asarray(layers.has_air) & (np.asarray(layers.planet) == 0)
 
 

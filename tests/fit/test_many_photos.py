@@ -19,12 +19,11 @@ from model_jax import (
     Scene,
     Srgb,
     Sun,
-    analytic_layers,
     composite,
     record,
 )
 
-from .looks import START, scene, to_values
+from .looks import START, exact_layers, scene, to_values
 
 TRUTH = Look(3.0, 0.2, (0.8, 0.9, 1.3))
 """Brightness by the first layers' unit. The background is the black levels' affair."""
@@ -55,10 +54,7 @@ def elsewhere() -> Scene:
 
 @pytest.fixture(scope="module")
 def both() -> tuple[Layers, Layers]:
-    with jax.enable_x64(True):
-        made = [analytic_layers(s, np.float64) for s in (scene(), elsewhere())]
-        first, second = (jax.tree.map(np.asarray, layers) for layers in made)
-    return first, second
+    return exact_layers(scene()), exact_layers(elsewhere())
 
 
 def shoot(
