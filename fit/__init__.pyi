@@ -1,6 +1,4 @@
 from ._fit import fit as fit
-from ._photo import Photo as Photo
-from ._photo import load_photo as load_photo
 from ._result import Errors as Errors
 from ._result import Estimate as Estimate
 from ._result import FitResult as FitResult
@@ -9,3 +7,5 @@ from ._result import PhotoResult as PhotoResult
 from ._traced import TracedFit as TracedFit
 from ._verdict import VERDICTS as VERDICTS
 from ._verdict import Verdict as Verdict
+from .photo._photo import Photo as Photo
+from .photo._read import load_photo as load_photo

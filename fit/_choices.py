@@ -17,7 +17,8 @@ SOLVERS: tuple[SolverName, ...] = get_args(SolverName)
 """Of optimistix."""
 
 JpegHandling = Literal["keep", "undo"]
-"""What is done about a photo that is a JPEG: nothing but a warning, or what `_compression` does."""
+"""What is done about a photo that is a JPEG: nothing but a warning, or what
+`diagnose._compression` does."""
 _HANDLINGS: tuple[JpegHandling, ...] = get_args(JpegHandling)
 
 Sampling = Literal["area", "point"]

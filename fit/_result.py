@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from model_jax import InputError, Look, Response
 
-from ._wording import measured, number
+from ._numbers import measured, number
 
 
 @dataclass(frozen=True)
@@ -164,8 +164,8 @@ class FitResult:
     correlation: Float[np.ndarray, "p p"]
     """Of rank one less than its size when the three tints are free: their mean is 1."""
     covariance: Float[np.ndarray, "p p"]
-    """Block sandwich (`_uncertainty`): residuals may be correlated and of any size. Of JPEGs the
-    scatter of fits to pictures that were compressed alike (`_compression`)."""
+    """Block sandwich (`diagnose._spread`): residuals may be correlated and of any size. Of JPEGs
+    the scatter of fits to pictures that were compressed alike (`diagnose._compression`)."""
     errors: Errors | None
     """What the covariance rests on; None without data."""
     look: Look
@@ -248,7 +248,7 @@ class FitResult:
 
     def _repr_html_(self) -> str:
         """The report in a notebook."""
-        from ._terminal import fit_html
+        from .report._terminal import fit_html
 
         return fit_html(self.to_dict())
 
@@ -299,7 +299,7 @@ class FitResult:
 
     def report(self) -> str:
         """The fit as plain text, as the command line prints it."""
-        from ._terminal import fit_text
+        from .report._terminal import fit_text
 
         return fit_text(self.to_dict())
 

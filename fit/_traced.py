@@ -21,8 +21,12 @@ from jaxtyping import Float, Int
 from model_jax import InputError, Layers, Look, Response, layer_widths
 from model_jax._shapes import AnyArray, is_traced
 
-from ._loss import Loss, weigh
-from ._parameters import (
+from ._verdict import Verdict
+from .photo._pixels import block_numbers
+from .solve._descend import Atlas, Pass, make_solver, run
+from .solve._loss import Loss, weigh
+from .solve._model import Model, predict, tile_slopes
+from .solve._parameters import (
     BACKGROUND,
     BRIGHTNESS,
     LOOK_ENTRIES,
@@ -35,10 +39,7 @@ from ._parameters import (
     settle_tint,
     to_entries,
 )
-from ._solve import Atlas, Pass, make_solver, run
-from ._stream import Model, Samples, predict, tile_at, tile_slopes
-from ._uncertainty import block_numbers
-from ._verdict import Verdict
+from .solve._samples import Samples, tile_at
 
 SHADOWS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Shadow weights that a descent starts from; the one that ends lowest counts."""

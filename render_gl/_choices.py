@@ -8,4 +8,4 @@ DEPTH_FORMATS: tuple[DepthFormat, ...] = get_args(DepthFormat)
 
 Source = Literal["raster", "mesh"]
 SOURCES: tuple[Source, ...] = get_args(Source)
-"""Depths of each pixel's own ray, or the paper's meshes (see `_draw`)."""
+"""Depths of each pixel's own ray, or the paper's meshes (see `_raster`)."""

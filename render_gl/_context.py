@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from model_jax import DriverError
+from model_jax import DriverError, InputError
 
 if TYPE_CHECKING:
     import moderngl
@@ -104,3 +104,13 @@ def _context() -> "moderngl.Context":
         ) from error
     context.gc_mode = "context_gc"
     return context
+
+
+def check_texture_size(context: "moderngl.Context", what: str, width: int, height: int) -> None:
+    """Raises `InputError` for what the driver has no texture for."""
+    limit = int(context.info["GL_MAX_TEXTURE_SIZE"])
+    if max(width, height) > limit:
+        raise InputError(
+            f"{what}: {width}×{height} pixels exceed this driver's limit of {limit}; "
+            "make it smaller"
+        )

@@ -8,18 +8,22 @@ import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Shaped
 from PIL.JpegImagePlugin import JpegImageFile
 
-from model_jax import InputError, Planet, Srgb
+from model_jax import InputError, Planet, Scene, Srgb
 
+from ._context import check_texture_size
 from ._exr import MAGIC as EXR
 from ._exr import read_channels
 from ._files import JPEG, PNG, TIFF, check_file, decoding
 from ._tiff import check_size, read_page
+
+if TYPE_CHECKING:
+    import moderngl
 
 MAX_PIXELS = 2**28
 """Largest map read, 32768×8192: a small damaged or hostile file can claim any size."""
@@ -208,3 +212,27 @@ def _read_npy(path: Path) -> _Stored:
             )
         heights = np.fromfile(stream, dtype, count).reshape(shape, order="F" if by_columns else "C")
     return _Stored(heights[..., None], None)
+
+
+def upload_maps(context: "moderngl.Context", scene: Scene) -> dict[str, Any]:
+    """Textures of relief and albedo, by the names of their samplers."""
+    import moderngl
+
+    maps = {}
+    if scene.planet.relief is not None:
+        heights = relief_heights(scene.planet)
+        rows, columns = heights.shape
+        check_texture_size(context, scene.planet.relief, columns, rows)
+        relief = context.texture((columns, rows), 1, heights.tobytes(), dtype="f4")
+        relief.repeat_y = False
+        maps["relief"] = relief
+    if scene.planet.albedo is not None:
+        colors = load_albedo(scene.planet.albedo)
+        rows, columns, _ = colors.shape
+        check_texture_size(context, scene.planet.albedo, columns, rows)
+        albedo = context.texture((columns, rows), 3, colors.tobytes(), dtype="f2", alignment=1)
+        albedo.build_mipmaps()
+        albedo.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+        albedo.repeat_y = False
+        maps["albedo"] = albedo
+    return maps

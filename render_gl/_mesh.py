@@ -10,8 +10,13 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, UInt32
 
+from model_jax import Scene
+from model_jax._view import ShadowCone
+
 CONE_SEGMENTS = 1024
 """The cone's polygon is then 1 - cos(π/1024) = 4.7e-6 radii inside its circle."""
+SHADOW_MARGIN = 1.01
+"""The cone's mesh reaches this many shell radii from the planet's centre; beyond is no air."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +100,29 @@ def cone_mesh(
         ]
     )
     return Mesh(vertices, triangles.astype(np.uint32))
+
+
+def shadow_mesh(scene: Scene, cone: ShadowCone) -> tuple[Mesh, bool]:
+    """What of a cone can lie in the air, and whether the camera is in it.
+
+    In world axes and planet radii. Occluders may be sixty radii away: cones are cut where the air
+    ends on either side.
+    """
+    assert scene.sun is not None
+    basis, toward = np.asarray(scene.camera.basis()), np.asarray(scene.sun.direction)
+    reach = SHADOW_MARGIN * float(1 + scene.atmosphere.height / scene.planet.radius)
+    middle = np.asarray(cone.center) @ basis
+    tangent, radius = float(cone.tangent), float(cone.radius)
+    first, last = min(float(cone.base), reach), -reach
+    if tangent > 0:
+        last = max(last, -radius / tangent)
+    ends = (middle + first * toward, middle + last * toward)
+    mesh = cone_mesh(toward, ends, (radius + tangent * first, max(radius + tangent * last, 0)))
+    offset = np.asarray(scene.camera.position) / float(scene.planet.radius) - middle
+    along = float(offset @ toward)
+    across = float(np.linalg.norm(offset - along * toward))
+    inside = last < along < first and across < radius + tangent * along
+    return mesh, inside
 
 
 def _icosahedron() -> tuple[Float[np.ndarray, "12 3"], list[list[int]]]:

@@ -31,7 +31,7 @@ from model_jax import DriverError, Look, Scene, combine, depth_constants, linear
 
 from ._context import on_gl
 from ._depth_format import EPS, STORAGE, DepthFormat
-from ._draw import Frame, assign_uniforms
+from ._frame import Frame, assign_uniforms
 from ._render import frame_layers
 from ._shaders import program
 

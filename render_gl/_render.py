@@ -9,7 +9,8 @@ from model_jax._shapes import Rgba
 
 from ._choices import Source
 from ._depth_format import STORAGE, DepthFormat, choose_format
-from ._draw import Frame, draw
+from ._draw import draw
+from ._frame import Frame
 from ._mesh_error import mesh_width_error
 
 

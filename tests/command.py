@@ -3,7 +3,7 @@
 import sys
 from unittest import mock
 
-from fit._cli import main
+from fit.cli._cli import main
 
 
 def airlight(*words: object) -> int:

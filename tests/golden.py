@@ -25,7 +25,7 @@ import numpy as np
 from PIL import Image
 
 from fit import FitResult, fit, load_photo
-from fit._job import Job, run_job
+from fit.cli._job import Job, run_job
 from model_jax import Layers, Look, Occluder, Response, Scene, Srgb, record
 from render_gl import check_scene, load_scene, render, render_image
 from render_gl._choices import Source

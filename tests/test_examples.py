@@ -16,7 +16,7 @@ import pytest
 
 import render_gl
 from fit import fit, load_photo
-from fit._job import Job, run_job
+from fit.cli._job import Job, run_job
 from model_jax import Look, analytic_layers, combine
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"

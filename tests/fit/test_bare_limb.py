@@ -10,7 +10,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from fit import fit, load_photo
-from fit._bare_limb import EVIDENCE, AirEvidence, bare_limb, effective_samples, find_air
+from fit.diagnose._bare_limb import EVIDENCE, AirEvidence, bare_limb, find_air
+from fit.diagnose._effective import effective_samples
 from model_jax import Atmosphere, Camera, Planet, Scene, Sun, analytic_layers, layer_widths
 from render_gl import load_scene
 

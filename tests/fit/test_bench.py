@@ -14,7 +14,7 @@ import pytest
 def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """By the command line, which switches float64 on: the float32 peer must not notice."""
     folder = tmp_path_factory.mktemp("bench")
-    command = "import sys; sys.argv[0] = 'airlight'; from fit._cli import main; main()"
+    command = "import sys; sys.argv[0] = 'airlight'; from fit.cli._cli import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", command, "bench", "--quick", "--json", "-o", str(folder)],
         capture_output=True,

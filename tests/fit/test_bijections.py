@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fit._bijections import (
+from fit.solve._bijections import (
     INSIDE,
     from_tints,
     from_value,

@@ -12,7 +12,8 @@ import pytest
 from PIL import Image
 
 import render_gl
-from fit import _job, _search
+from fit.cli import _job, _written
+from fit.solve import _polish
 from model_jax import DriverError
 from tests.command import airlight
 from tests.scene_text import SCENE
@@ -59,7 +60,7 @@ def test_fit_recovers_the_rendered_look_and_writes_everything(here, source, caps
     keys |= {"residual_rms", "pixels", "left_out", "seconds", "versions"}
     assert keys <= set(document)
     assert set(document["seconds"]) == {"render", "reduce", "solve", "errors", "report"}
-    assert {path.name for path in Path("out").iterdir()} == set(_job.FILES)
+    assert {path.name for path in Path("out").iterdir()} == set(_written.FILES)
     residual, _ = render_gl.read_channels("out/residual.exr")
     used = residual["used.Y"] == 1
     rms = np.sqrt(np.mean([residual[c][used].astype(float) ** 2 for c in "RGB"]))
@@ -430,8 +431,8 @@ ENDS = {
 def test_verdicts_have_exit_codes(here: Path, capsys, monkeypatch, verdict, words) -> None:
     """0 with a line of warning at a bound, else 1; the results are written all the same."""
     if verdict == "not_converged":  # the exact steps at the end save every descent that is known
-        monkeypatch.setattr(_search, "_FINISHES", 0)
-        monkeypatch.setattr(_search, "_FINISH_STEPS", 0)
+        monkeypatch.setattr(_polish, "_FINISHES", 0)
+        monkeypatch.setattr(_polish, "_FINISH_STEPS", 0)
     capsys.readouterr()
     code = airlight("fit", "scene.toml", "photo.png", "-o", "out", *words)
     printed = capsys.readouterr()

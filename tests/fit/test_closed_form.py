@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-import fit._search as search_module
 from fit import fit
-from fit._closed_form import Least, least_square_sum
+from fit.solve import _opinion, _search
+from fit.solve._closed_form import Least, least_square_sum
+from fit.solve._descend import Descent
+from fit.solve._parameters import directions
+from fit.solve._problem import Problem
+from fit.solve._search import End
 from model_jax import Layers, Look, Response, layer_widths
 
 from .looks import START, TRUTH, picture
@@ -24,21 +28,21 @@ def noisy(layers: Layers) -> np.ndarray:
     return light + np.random.default_rng(11).normal(scale=NOISE, size=light.shape)
 
 
-def ends(monkeypatch) -> list[tuple[search_module.Problem, search_module.End]]:
+def ends(monkeypatch) -> list[tuple[Problem, End]]:
     """What the searches of later fits ended with."""
     found = []
-    original = search_module.search
+    original = _search.search
 
     def spy(problem, *arguments, **more):
         end = original(problem, *arguments, **more)
         found.append((problem, end))
         return end
 
-    monkeypatch.setattr("fit._fit.search", spy)
+    monkeypatch.setattr("fit._rounds.search", spy)
     return found
 
 
-def least(problem: search_module.Problem, end: search_module.End) -> Least | None:
+def least(problem: Problem, end: End) -> Least | None:
     few = jax.device_get(problem.few)
     return least_square_sum(few, end.vector, end.free, problem.parameters)
 
@@ -110,7 +114,7 @@ def test_a_worse_end_is_told(free: list[str], noisy, layers: Layers, monkeypatch
     (problem, end) = found[-1]
     wrong = end.vector.copy()
     wrong[0] *= 1.05
-    words, better = search_module._second_opinion(
+    words, better = _opinion.second_opinion(
         problem, wrong, problem.square_sum(wrong), end.free, "lm", wrong, 0.0
     )
     assert words == "lower"
@@ -124,18 +128,19 @@ def test_a_descent_that_goes_nowhere_is_overruled(
     """The second opinion's end becomes the fit's."""
     right = fit(noisy, layers, START, free=free)
     monkeypatch.setattr(
-        search_module,
+        _search,
         "_descend",
-        lambda problem, held, *rest: search_module.Descent(held, True, 1, (1.0, 1.0)),
+        lambda problem, held, *rest: Descent(held, True, 1, (1.0, 1.0)),
     )
-    monkeypatch.setattr(
-        search_module,
-        "_finish",
-        lambda problem, vector, free: (
-            vector,
-            problem.gram(vector, search_module.directions(free, problem.parameters)[0]),
-        ),
-    )
+    for module in (_search, _opinion):
+        monkeypatch.setattr(
+            module,
+            "finish",
+            lambda problem, vector, free: (
+                vector,
+                problem.gram(vector, directions(free, problem.parameters)[0]),
+            ),
+        )
     result = fit(noisy, layers, START, free=free)
     assert result.verdict == "converged"
     assert len(result.history) == 2

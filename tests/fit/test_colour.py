@@ -13,7 +13,7 @@ from PIL import Image, ImageCms
 
 import render_gl
 from fit import fit, load_photo
-from fit._colour import Colours, of_icc, of_jpeg, of_png
+from fit.photo._colour import Colours, of_icc, of_jpeg, of_png
 from model_jax import Linear, Look, Power, Sampled, Srgb, analytic_layers
 
 CODES = np.arange(256, dtype=np.uint8).reshape(16, 16)

@@ -10,9 +10,11 @@ import pytest
 from PIL import ExifTags, Image
 
 from fit import FitResult, Photo, fit, load_photo
-from fit._compression import _bounded, _Camera, _Noise, _read_backwards
-from fit._parameters import declare, directions, to_entries
-from fit._pixels import Columns
+from fit.diagnose._compression import _bounded, _read_backwards
+from fit.photo._camera import Camera, _Noise
+from fit.photo._pixels import Columns
+from fit.solve._declare import declare
+from fit.solve._parameters import directions, to_entries
 from model_jax import Exposure, InputError, Layers, Look, Response
 from model_jax._tone import Srgb
 
@@ -65,7 +67,7 @@ def test_a_file_is_made_again(options: dict[str, Any], tmp_path: Path) -> None:
     chosen = rng.random(codes[..., 0].size) < 0.7
     used, near = columns_at(photo, np.flatnonzero(chosen)), np.flatnonzero(~chosen)
     light, near_light = before.linear_at(used.index), before.linear_at(near)
-    camera = _Camera(
+    camera = Camera(
         photo,
         used,
         columns_at(photo, near),

@@ -19,7 +19,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import binom
 
 from fit import Photo, fit, load_photo
-from fit._parameters import declare
+from fit.solve._declare import declare
 from model_jax import Layers, Look, Response, record
 from model_jax._tone import Srgb
 

@@ -11,7 +11,7 @@ from PIL import Image
 from scipy.optimize import least_squares
 
 from fit import FitResult, fit, load_photo
-from fit._loss import TUNING
+from fit.solve._loss import TUNING
 from model_jax import Layers, Look, Srgb, layer_widths
 from render_gl._exr import write_channels
 

@@ -23,7 +23,8 @@ from hypothesis import strategies as st
 
 import render_gl
 from fit import fit
-from fit._export import Format, Number, export_text, float_literal, read_fit
+from fit.report._export import Format, export_text, float_literal
+from fit.report._fitted import Number, read_fit
 from model_jax import PARAMETERS, InputError, Look, Scene, combine, composite, layer_widths
 from render_gl import _shaders
 from render_gl._context import on_gl

@@ -32,7 +32,7 @@ JAX alone imports 900."""
 
 LISTING = """
 import sys
-from fit._cli import main
+from fit.cli._cli import main
 sys.argv[0] = "airlight"
 try:
     main()
@@ -156,7 +156,7 @@ def test_a_setting_that_jax_refuses_is_named(tmp_path: Path) -> None:
 WATCHED = """
 import sys
 import rich.progress
-from fit._cli import main
+from fit.cli._cli import main
 sys.argv[0] = "airlight"
 add_task = rich.progress.Progress.add_task
 def watch(self, description, **options):
@@ -182,7 +182,7 @@ def test_the_progress_line_is_there_before_jax(tmp_path: Path) -> None:
 COUNTED = """
 import collections, sys
 import jax
-from fit._cli import main
+from fit.cli._cli import main
 sys.argv[0] = "airlight"
 counts = collections.Counter()
 jax.monitoring.register_event_listener(lambda event, **_: counts.update([event]))

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from fit import Photo, fit, load_photo
-from fit._search import CHECK, _is_settled
+from fit.solve._polish import CHECK, is_settled
 from model_jax import (
     Layers,
     Look,
@@ -166,7 +166,7 @@ def test_the_end_is_judged_by_what_a_step_promises(
     step = np.zeros(len(curved))
     step[0] = np.sqrt(promise * CHECK * variance / curved[0, 0])
     gram = problem.gram(end.vector + along @ step, along)
-    assert _is_settled(problem, gram, along) == (promise < 1)
+    assert is_settled(problem, gram, along) == (promise < 1)
 
 
 @pytest.mark.full

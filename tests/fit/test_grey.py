@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from fit import fit, load_photo
-from fit._cli import app
-from fit._pixels import LUMINANCE
+from fit.cli._cli import app
+from fit.photo._pixels import LUMINANCE
 from model_jax import Layers, Look, Response, Srgb
 
 from ..scene_text import SCENE
@@ -137,7 +137,7 @@ def test_a_grey_photo_beside_one_in_colour(blue: Layers) -> None:
 
 def test_channels_are_alike_by_chance() -> None:
     """One pixel, and a photo clipped all over, are not called grey."""
-    from fit._pixels import _mix
+    from fit.photo._pixels import _mix
 
     assert _mix(np.array([[0.5, 0.5, 0.5]]), None) is None
     assert _mix(np.ones((4, 3)), np.ones((4, 3), np.int8)) is None

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 import render_gl
-from fit import _guard
+from fit.cli import _guard
 from model_jax import Look, analytic_layers, composite
 from tests.command import airlight
 from tests.scene_text import resized
@@ -41,7 +41,9 @@ def inside(capfd: pytest.CaptureFixture[str], *words: str | bytes) -> tuple[int,
 
 def guarded(body: str) -> subprocess.CompletedProcess[str]:
     """A program that does something inside the guard."""
-    program = f"import sys\nfrom fit._guard import guard\nwith guard(lambda: 'airlight'):\n{body}"
+    program = (
+        f"import sys\nfrom fit.cli._guard import guard\nwith guard(lambda: 'airlight'):\n{body}"
+    )
     return subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False
     )

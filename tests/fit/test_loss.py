@@ -9,7 +9,7 @@ from scipy.special import erfcx
 from scipy.stats import norm
 
 from fit._choices import LOSSES, check_loss
-from fit._loss import TUNING, Loss, weigh
+from fit.solve._loss import TUNING, Loss, weigh
 from model_jax import InputError
 
 NOISE = 0.02
@@ -58,7 +58,7 @@ def test_score_is_half_the_slope(name: str, clipped: int) -> None:
 @pytest.mark.parametrize("clipped", [0, 1, -1], ids=["measured", "white", "black"])
 @pytest.mark.parametrize("name", LOSSES)
 def test_the_matrix_is_positive(name: str, clipped: int) -> None:
-    """[[h, s], [s, cost]] has no negative eigenvalue: h·cost ≥ s² (`_stream.cholesky` needs it).
+    """[[h, s], [s, cost]] has no negative eigenvalue: h·cost ≥ s² (`_gram.cholesky` needs it).
 
     Equal for plain least squares and, to first order, far below a bound: a few roundings of slack.
     """

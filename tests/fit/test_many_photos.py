@@ -122,7 +122,7 @@ def test_brightness_is_no_number_of_one_clip_plane(both: tuple[Layers, Layers]) 
 def test_order_matters_to_the_reference_only(both: tuple[Layers, Layers], noisy: FitResult) -> None:
     """The first photo's exposure is the one that the other is relative to.
 
-    Both ends are within 1e-3 standard errors of the optimum (`_search.CHECK`).
+    Both ends are within 1e-3 standard errors of the optimum (`_polish.CHECK`).
     """
     turned = fit(shots(both, NOISE)[::-1], both[::-1], START)
     for name in SHARED:

@@ -21,7 +21,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from fit import FitResult, Verdict, fit
-from fit._loss import TUNING
+from fit.solve._loss import TUNING
 from model_jax import (
     Atmosphere,
     Camera,

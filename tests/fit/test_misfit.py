@@ -10,7 +10,8 @@ from scipy.ndimage import gaussian_filter, shift
 from scipy.stats import chi2, ncx2
 
 from fit import FitResult, fit
-from fit._misfit import ALARM, CAUSES
+from fit.diagnose._misfit import ALARM
+from fit.diagnose._patterns import CAUSES
 from model_jax import (
     Atmosphere,
     Camera,

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import render_gl
-from fit._cli import main
+from fit.cli._cli import main
 from tests.render_gl.test_scene_file import NASTY as NASTY_TOML
 from tests.scene_text import resized
 

@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from fit import fit
-from fit._fit import _verdict
-from fit._parameters import declare
-from fit._search import _is_settled
+from fit._judge import _verdict
+from fit.solve._declare import declare
+from fit.solve._polish import is_settled
 from model_jax import InputError, Layers, Look, Response
 
 NOISE = 0.02
@@ -242,4 +242,4 @@ def test_verdicts_of_bad_ends(layers: Layers, photo: np.ndarray) -> None:
     bound = replace(end, at_bound=end.free[:1])
     assert _verdict(task, bound).label == "at_bound"
     assert _verdict(task, replace(bound, settled=False)).label == "not_converged"
-    assert not _is_settled(problem, np.full_like(end.gram, np.nan), result.evidence.along)
+    assert not is_settled(problem, np.full_like(end.gram, np.nan), result.evidence.along)

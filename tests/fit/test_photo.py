@@ -12,8 +12,9 @@ import pytest
 import tifffile
 from PIL import Image, ImageFile, ImageOps
 
-from fit import _photo
-from fit._photo import REASONS, load_photo
+from fit.photo import _read
+from fit.photo._photo import REASONS
+from fit.photo._read import load_photo
 from model_jax._errors import InputError
 from model_jax._tone import Exposure, Linear, Srgb, ToneCurve
 from render_gl._exr import write_channels
@@ -333,7 +334,7 @@ class TestUnusable:
     def test_more_pixels_than_are_read(
         self, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(_photo, "MAX_PIXELS", 29)
+        monkeypatch.setattr(_read, "MAX_PIXELS", 29)
         path = tmp_path / f"a.{kind}"
         codes = codes_of("uint8", 3)
         if kind == "exr":

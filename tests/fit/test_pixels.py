@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from fit._choices import check_sampling
-from fit._loss import Loss
-from fit._photo import REASONS, Photo
-from fit._pixels import Columns, choose_pixels, take_columns, to_samples
-from fit._reduce import BINS, THIN, bins, moments, thinned
-from fit._solve import exact_gram
-from fit._stream import TILE, Model, Samples
+from fit.photo._photo import REASONS, Photo
+from fit.photo._pixels import Columns, choose_pixels, take_columns
+from fit.solve._descend import exact_gram
+from fit.solve._loss import Loss
+from fit.solve._model import Model
+from fit.solve._reduce import BINS, THIN, bins, moments, thinned
+from fit.solve._samples import TILE, Samples, to_samples
 from model_jax import InputError, Layers, Linear, layer_widths
 
 SIZE = (6, 5)

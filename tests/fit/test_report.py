@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from fit import fit
-from fit._report import TONES, photo_section, report_html
-from fit._wording import measured, number, shown_parameters, span, verdict_sentence
+from fit._numbers import measured, number
+from fit.report._report import TONES, photo_section, report_html
+from fit.report._wording import shown_parameters, span, verdict_sentence
 from model_jax import (
     Atmosphere,
     Camera,

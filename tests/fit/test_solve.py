@@ -11,8 +11,7 @@ import pytest
 from PIL import Image
 
 from fit import FitResult, fit, load_photo
-from fit import _search as search
-from fit import _solve as solve
+from fit.solve import _descend, _polish, _search
 from model_jax import Srgb
 
 from .test_matrix import CASES, Fit, _Dense, _photo, _start
@@ -44,9 +43,9 @@ def fit_at(place: Fit, **options: Any) -> FitResult:
 @pytest.mark.parametrize(("name", "kind"), SOLVERS.items(), ids=SOLVERS)
 def test_a_name_is_optimistixs_solver(name: str, kind: type) -> None:
     """And what records its steps has it inside."""
-    made = solve.make_solver(name)
+    made = _descend.make_solver(name)
     assert type(made) is kind
-    recorder: Any = solve._recorded(made, 7)
+    recorder: Any = _descend._recorded(made, 7)
     assert recorder.inner is made
     assert recorder.max_steps == 7
 
@@ -63,7 +62,7 @@ def test_the_solver_named_is_the_one_that_descends(
     def descend(chart: Any, samples: Any, model: Any, solver: Any, max_steps: int) -> None:
         raise Stopped(solver, max_steps)
 
-    monkeypatch.setattr(search, "descend", descend)
+    monkeypatch.setattr(_search, "descend", descend)
     with pytest.raises(Stopped) as caught:
         fit_at(place_of(case), solver=name, max_steps=77)
     solver, max_steps = caught.value.args
@@ -100,13 +99,13 @@ def test_solvers_see_numbers_of_order_one(
     what they share at the start, some thousands here; half of float64's digits are to be left. A
     length of one is that of the photo's light, and a start explains more of it than nothing does.
     """
-    really = search.descend
+    really = _search.descend
 
     def descend(chart: Any, samples: Any, model: Any, *_: Any) -> None:
-        really(chart, samples, model, Watching(solve.TOLERANCE, solve.TOLERANCE), 1)
+        really(chart, samples, model, Watching(_descend.TOLERANCE, _descend.TOLERANCE), 1)
         raise Stopped
 
-    monkeypatch.setattr(search, "descend", descend)
+    monkeypatch.setattr(_search, "descend", descend)
     SEEN.clear()
     with pytest.raises(Stopped):
         fit_at(place_of(case, light, length))
@@ -153,5 +152,5 @@ def test_the_gradient_at_the_end_is_rounding(case: str, tmp_path: Path) -> None:
     vectors is known to √n eps or so, and the slopes themselves to a few eps."""
     result = clipped(tmp_path) if case == "clipped" else fit_at(place_of(case))
     gram, count = result.evidence.end.gram, result.evidence.problem.count
-    cosine = np.sqrt(search._promise(gram) / gram[-1, -1])
+    cosine = np.sqrt(_polish._promise(gram) / gram[-1, -1])
     assert cosine <= 4 * np.sqrt(count) * EPS

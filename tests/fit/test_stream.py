@@ -7,11 +7,14 @@ import optimistix as optx
 import pytest
 import scipy.optimize
 
-from fit._loss import Loss
-from fit._parameters import chart, declare, to_entries
-from fit._pixels import choose_pixels, take_columns, to_samples
-from fit._solve import Atlas, Pass
-from fit._stream import Model, compressed
+from fit.photo._pixels import choose_pixels, take_columns
+from fit.solve._declare import declare
+from fit.solve._descend import Atlas, Pass
+from fit.solve._gram import compressed
+from fit.solve._loss import Loss
+from fit.solve._model import Model
+from fit.solve._parameters import chart, to_entries
+from fit.solve._samples import to_samples
 from model_jax import Layers, Look, Response, composite
 
 from .looks import TRUTH, picture

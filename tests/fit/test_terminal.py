@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from fit import FitResult, Verdict, fit
-from fit._terminal import fit_text
 from fit._verdict import VERDICTS
+from fit.report._terminal import fit_text
 from model_jax import Layers
 
 GOLDEN = Path(__file__).parent / "golden"

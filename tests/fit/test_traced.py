@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fit import FitResult, TracedFit, Verdict, _search, _traced, fit
+from fit import FitResult, TracedFit, Verdict, _traced, fit
+from fit.solve import _polish, _search
 from model_jax import InputError, Layers, Look, Response, analytic_layers
 
 from .looks import START, TRUTH, picture, scene
@@ -166,8 +167,8 @@ def test_too_few_steps_do_not_converge(
         (_traced, "_STEPS", 1),
         (_traced, "_NEWTON_STEPS", 1),
         (_traced, "SHADOWS", ()),
-        (_search, "_FINISHES", 0),
-        (_search, "_FINISH_STEPS", 0),
+        (_polish, "_FINISHES", 0),
+        (_polish, "_FINISH_STEPS", 0),
         (_search, "_OPINIONS", 0),
     ):
         monkeypatch.setattr(module, name, steps)

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from fit import FitResult, fit, load_photo
-from fit._wording import close_pairs
+from fit.report._wording import close_pairs
 from model_jax import InputError, Layers, analytic_layers
 from render_gl import load_scene
 from tests.command import airlight

@@ -11,17 +11,16 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import t as student
 
 from fit import Photo, fit
-from fit._pixels import Columns
-from fit._uncertainty import (
+from fit.diagnose._autocorrelation import correlation
+from fit.diagnose._spread import (
     MOST_LEVERAGE,
     Spread,
     _border_share,
-    block_numbers,
-    correlation,
     inverse_root,
     reach_95,
     stretch_of,
 )
+from fit.photo._pixels import Columns, block_numbers
 from model_jax import Layers, Look
 from model_jax._tone import Linear
 

@@ -11,8 +11,9 @@ import pytest
 from PIL import Image
 from scipy.optimize import least_squares
 
-from fit import Verdict, _search, fit, load_photo
+from fit import Verdict, fit, load_photo
 from fit._verdict import VERDICTS
+from fit.solve import _polish
 from model_jax import (
     InputError,
     Layers,
@@ -292,7 +293,7 @@ def test_light_beyond_what_float64_squares_diverges(layers: Layers) -> None:
 def test_too_few_steps_do_not_converge(layers: Layers, monkeypatch: pytest.MonkeyPatch) -> None:
     """The exact steps at the end save every descent that is known, so they are left out."""
     for name in ("_FINISHES", "_FINISH_STEPS"):
-        monkeypatch.setattr(_search, name, 0)
+        monkeypatch.setattr(_polish, name, 0)
     result = fit(picture(layers, TRUTH), layers, START, max_steps=1, sampling="point")
     assert result.verdict == "not_converged"
     assert VERDICTS[Verdict.NOT_CONVERGED][1] in result.message

@@ -37,7 +37,7 @@ def test_shadow_passes_are_left_out_when_no_air_in_view_is_in_shadow(monkeypatch
     pruned = render_gl.render(case, "linear")
     assert pruned.shadow_front is None
     assert render_gl.render(SCENES["sun (1, -1, 1)"]).shadow_front is not None
-    monkeypatch.setattr(render_gl._draw, "shadows_in_view", lambda scene: (True,))
+    monkeypatch.setattr(render_gl._raster, "shadows_in_view", lambda scene: (True,))
     full = render_gl.render(case, "linear")
     assert full.shadow_front is not None
     np.testing.assert_array_equal(pruned.front, full.front)
@@ -278,7 +278,7 @@ def test_large_pictures_are_drawn_in_bands(monkeypatch, depth_format) -> None:
     camera = case.camera.resized(320, 256)
     case = Scene(camera, case.planet, case.atmosphere, case.sun, case.occluders)
     whole = render_gl._draw.draw(case, Look(), depth_format)
-    monkeypatch.setattr(render_gl._draw, "BAND", 320 * 100)
+    monkeypatch.setattr(render_gl._raster, "BAND", 320 * 100)
     banded = render_gl._draw.draw(case, Look(), depth_format)
     parts = [(f.air, f.front, f.back, *f.shadows.reshape(-1, 256, 320)) for f in (whole, banded)]
     images = zip(*parts, strict=True)

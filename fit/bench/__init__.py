@@ -1,0 +1,1 @@
+"""How fast a fit is, beside its peers."""

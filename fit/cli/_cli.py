@@ -1,0 +1,421 @@
+"""The command line: `airlight render | fit | check | export | bench | version`.
+
+Exit codes: 0 done (and, with a warning, a fit at a bound); 1 the check failed or the fit has
+another verdict; 2 bad input, in one line on standard error with a remedy; 70 a bug (`_guard`).
+
+Nothing that computes is imported here: help, exports and wrong options have their answer before
+JAX, which takes seconds, is asked for (`_progress.computing`).
+"""
+
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from model_jax._choices import Encoding
+from model_jax._errors import AirlightError, InputError, printable
+from render_gl._choices import DepthFormat, Source
+from render_gl._files import check_file
+
+from .._choices import JpegHandling, LayerSource, LossName, Sampling, SolverName, check_steps
+from ..report._export import Format, export_text, write_export
+from ..report._fitted import read_fit
+from . import _assignments as assignments
+from ._drawing import NOTHING_IN_VIEW, draw_picture, in_view, parse_size, resized, write_png
+from ._guard import check_devices, guard, tell
+from ._outputs import check_folder, prepare_folder, versions
+from ._progress import computing, console, say
+
+if TYPE_CHECKING:
+    pass
+
+app = typer.Typer(
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Render a planet's atmosphere as depth layers, and fit its look to photos.",
+)
+
+
+Depths = Literal["auto", DepthFormat]
+
+SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+SourceOption = Annotated[
+    LayerSource,
+    typer.Option(
+        help="Layers by OpenGL: each pixel's own ray (raster) or the paper's meshes; or by JAX."
+    ),
+]
+DepthOption = Annotated[
+    Depths,
+    typer.Option(help="Depth format of the passes; auto is the cheapest that is exact enough."),
+]
+
+
+def main() -> None:
+    """Entry point of the console script: errors in one line, no traceback for a user's mistake."""
+    if len(sys.argv) == 1:
+        sys.argv.append("--help")
+    with guard(_command):
+        app(standalone_mode=False)
+
+
+def _print_version(asked: bool) -> bool:
+    if asked:
+        print(f"airlight {versions()['airlight']}")
+        raise typer.Exit
+    return asked
+
+
+@app.callback()
+def _airlight(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Say airlight's version."
+        ),
+    ] = False,
+) -> None:
+    """Render a planet's atmosphere as depth layers, and fit its look to photos."""
+
+
+@app.command()
+def render(
+    scene: SceneArgument,
+    out: Annotated[
+        str, typer.Option("-o", "--out", help="OUT.exr: layers and picture; OUT.png: picture only.")
+    ],
+    source: SourceOption = "raster",
+    depth: DepthOption = "auto",
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Another size; vertical field of view stays.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Draw a scene's layers and combined picture."""
+    if not out:
+        raise InputError("-o: is empty; name a file, .exr or .png")
+    suffix = Path(out).suffix.lower()
+    if suffix not in (".exr", ".png"):
+        raise InputError(f"{out}: is neither .exr (layers and picture) nor .png (picture)")
+    pixels = None if size is None else parse_size(size)
+    check_file(scene)
+    facts: dict[str, Any] = {"source": source}
+    told: str = source
+    depth_format = "linear"
+    with computing() as step:
+        import render_gl
+
+        from ._job import make_layers
+
+        file = render_gl.load_scene(scene)
+        drawn = file.scene if pixels is None else resized(file.scene, *pixels)
+        if source != "analytic":
+            choice = render_gl.choose_format(drawn, depth)
+            depth_format = choice.depth_format
+            facts |= {"depth": depth_format, "depth_error": choice.error, "reason": choice.reason}
+            told += f", {depth_format} depths: {choice.reason}"
+        step("drawing")
+        layers = make_layers(drawn, source, depth_format)
+        picture = draw_picture(drawn, layers, file.look, source, depth_format)
+        step("writing")
+        if suffix == ".exr":
+            render_gl.write_layers(out, layers, drawn, picture)
+        else:
+            write_png(out, picture)
+    camera = drawn.camera
+    warnings = [] if in_view(layers) else [NOTHING_IN_VIEW]
+    facts["warnings"] = warnings
+    say(
+        as_json,
+        {"out": out, "width": camera.width, "height": camera.height} | facts,
+        f"{printable(out)}: {camera.width}×{camera.height}, {told}",
+    )
+    for warning in warnings:
+        tell(f"warning: {warning}")
+
+
+@app.command()
+def fit(
+    paths: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SCENE PHOTO ...",
+            help="Scene file and photo, once or for several photos; PHOTO alone with --layers.",
+        ),
+    ],
+    out: Annotated[str, typer.Option("-o", "--out", metavar="DIR", help="Folder for the results.")],
+    layers: Annotated[
+        str | None, typer.Option(metavar="LAYERS.exr", help="Layers of another renderer.")
+    ] = None,
+    near: Annotated[
+        float | None, typer.Option(help="With --layers: near plane of coded depths.")
+    ] = None,
+    far: Annotated[
+        float | None, typer.Option(help="With --layers: far plane of coded depths, or inf.")
+    ] = None,
+    encoding: Annotated[
+        Encoding | None,
+        typer.Option(help="With --layers: how its depths are coded, if its header does not say."),
+    ] = None,
+    constant: Annotated[
+        float, typer.Option(help="With log depths: C of log(C z + 1) / log(C far + 1).")
+    ] = 1.0,
+    source: Annotated[
+        LayerSource | None,
+        typer.Option(help="Layers by OpenGL passes (the default), or by exact intersection."),
+    ] = None,
+    depth: Annotated[
+        Depths | None, typer.Option(help="Depth format of the passes; linear by default.")
+    ] = None,
+    tone_curve: Annotated[
+        str | None,
+        typer.Option(help="linear, srgb or EXPOSURE,GAMMA of 1-exp(-EXPOSURE x); one photo only."),
+    ] = None,
+    mask: Annotated[
+        str | None,
+        typer.Option(help="Picture of the photo's size; white = use the pixel; one photo only."),
+    ] = None,
+    free: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help="Parameters to fit, such as brightness,gamma.2."),
+    ] = None,
+    start: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Start value, also of what is held; repeatable."),
+    ] = None,
+    bounds: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=LOW:HIGH", help="Allowed range; an end may be left out."),
+    ] = None,
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=MEAN:SIGMA", help="What is known before the photo."),
+    ] = None,
+    tie: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=OTHER", help="Two parameters that shall be equal."),
+    ] = None,
+    loss: Annotated[
+        LossName, typer.Option(help="Least squares, or one that doubts outliers.")
+    ] = "linear",
+    jpeg: Annotated[
+        JpegHandling,
+        typer.Option(help="undo: correct for what JPEG did to the photo, for seconds."),
+    ] = "keep",
+    sampling: Annotated[
+        Sampling,
+        typer.Option(help="point: the photo is a render without antialiasing."),
+    ] = "area",
+    solver: Annotated[SolverName, typer.Option(help="Of the descent.")] = "lm",
+    max_steps: Annotated[int | None, typer.Option(help="Steps the solver may take.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Fit a look to a photo, or one look to several photos.
+
+    The look is brightness, shadow weight, tint and background. Several photos share it, and each
+    has an exposure and a black level of its own instead of the background.
+    """
+    _check_paths(paths, layers)
+    if layers is None and any(given is not None for given in (near, far, encoding)):
+        raise InputError(
+            "fit: --near, --far and --encoding go with --layers; a scene has its own clip planes"
+        )
+    if constant != 1 and encoding != "log":
+        raise InputError(f"fit: --constant {constant:g} goes with --encoding log")
+    if layers is not None and (source is not None or depth is not None):
+        raise InputError("fit: --source and --depth draw a scene's layers; --layers has its own")
+    if layers is None and len(paths) > 2 and (mask is not None or tone_curve is not None):
+        raise InputError(
+            "fit: --mask and --tone-curve are of one photo; with several, write mask and "
+            "tone_curve into [photo] of each one's scene"
+        )
+    check_steps("max-steps", max_steps)
+    asked: dict[str, Any] = dict(  # noqa: C408 (the names of `Job`'s fields)
+        photos=tuple(paths if layers is not None else paths[1::2]),
+        scenes=tuple(paths[::2]) if layers is None else (),
+        layers=layers,
+        near=near,
+        far=far,
+        encoding=encoding,
+        constant=constant,
+        source=source or "raster",
+        depth_format=depth or "linear",
+        tone_curve=_tone_curve(tone_curve),
+        mask=mask,
+        free=assignments.names(free),
+        start=assignments.starts(start or ()),
+        bounds=assignments.bounds(bounds or ()),
+        priors=assignments.priors(prior or ()),
+        tied=assignments.ties(tie or ()),
+        loss=loss,
+        jpeg=jpeg,
+        sampling=sampling,
+        solver=solver,
+        max_steps=max_steps,
+        command=shlex.join(["airlight", *sys.argv[1:]]),
+    )
+    check_folder(out)
+    for path in (*paths, *(name for name in (layers, mask) if name is not None)):
+        check_file(path)
+    with computing() as step:
+        from ._job import Job, run_job
+
+        result, document = run_job(Job(**asked), out, step)
+    if as_json:
+        print(json.dumps(document, allow_nan=False))
+    else:
+        from ..report._terminal import print_fit
+
+        print_fit(console(), document, out)
+    if result.verdict == "at_bound":
+        tell("warning: the best fit lies at a bound")
+    elif result.verdict != "converged":
+        raise SystemExit(1)
+
+
+@app.command()
+def check(
+    scene: SceneArgument,
+    out: Annotated[
+        str | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for the three EXRs.")
+    ] = None,
+    depth: DepthOption = "auto",
+    source: Annotated[
+        Source,
+        typer.Option(help="Depths of each pixel's own ray, or the paper's meshes."),
+    ] = "raster",
+    as_json: JsonOption = False,
+) -> None:
+    """Hold the OpenGL picture against JAX on the same layers, and the layers against exact ones."""
+    check_file(scene)
+    if out is not None:
+        check_folder(out)
+    with computing() as step:
+        import render_gl
+
+        file = render_gl.load_scene(scene)
+        folder = prepare_folder(out if out is not None else f"{file.path.stem}-check")
+        step("drawing and comparing")
+        found = render_gl.check_scene(file.scene, file.look, depth, source)
+        step("writing")
+        for name, picture in (
+            ("glsl", found.parity.glsl),
+            ("jax", found.parity.jax),
+            ("difference", found.parity.difference),
+        ):
+            render_gl.write_picture(folder / f"{name}.exr", picture, file.scene)
+    if as_json:
+        print(json.dumps(found.summary() | {"out": str(folder)}, allow_nan=False))
+    else:
+        from ..report._terminal import print_check
+
+        print_check(console(), found.summary(), scene, str(folder))
+    if not found.passed:
+        raise SystemExit(1)
+
+
+@app.command()
+def export(
+    fit_json: Annotated[str, typer.Argument(metavar="FIT.json", help="What a fit wrote.")],
+    to: Annotated[
+        Format,
+        typer.Option(help="Shader constants or uniforms, flat JSON, a scene's [look], or a table."),
+    ],
+    out: Annotated[
+        str | None, typer.Option("-o", "--out", metavar="FILE", help="Instead of standard output.")
+    ] = None,
+) -> None:
+    """Write a fit's numbers for a shader, a scene file or a program."""
+    fitted = read_fit(fit_json)
+    if out is None:
+        print(export_text(fitted, to), end="")
+    else:
+        write_export(out, fitted, to)
+    for warning in (fitted.warning, *fitted.warnings):
+        if warning is not None:
+            tell(f"warning: {warning}")
+
+
+@app.command()
+def bench(
+    out: Annotated[str, typer.Option("-o", "--out", metavar="DIR", help="Folder for the tables.")],
+    quick: Annotated[bool, typer.Option(help="A sixteenth of the pixels; no large photo.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how fast a fit is, beside SciPy and optimistix, on this machine."""
+    folder = prepare_folder(out)
+    with computing(keep=False) as step:
+        from ..bench._race import run_bench
+
+        document = run_bench(folder, quick, step)
+    if as_json:
+        print(json.dumps(document, allow_nan=False))
+    else:
+        from ..report._terminal import print_bench
+
+        print_bench(console(), document, out)
+
+
+@app.command()
+def version(
+    devices: Annotated[
+        bool, typer.Option("--devices", help="Also the OpenGL renderer and JAX's devices.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Versions of airlight and of what it computes with."""
+    facts: dict[str, Any] = versions() | (_devices() if devices else {})
+    lines = [
+        f"{name:12} {value if isinstance(value, str) else ', '.join(value)}"
+        for name, value in facts.items()
+    ]
+    say(as_json, facts, "\n".join(lines))
+
+
+def _devices() -> dict[str, Any]:
+    """What draws and what computes; why not, where there is none."""
+    import render_gl
+
+    try:
+        renderer = render_gl.renderer_name()
+    except AirlightError as error:
+        renderer = f"none ({error})"
+    try:
+        found = check_devices()
+    except AirlightError as error:
+        found = [f"none ({error})"]
+    return {"OpenGL": renderer, "JAX devices": found}
+
+
+def _command() -> str:
+    """The command line as far as its subcommand, if it has one."""
+    commands = ("render", "fit", "check", "export", "bench", "version")
+    return " ".join(["airlight", *(word for word in sys.argv[1:2] if word in commands)])
+
+
+def _check_paths(paths: list[str], layers: str | None) -> None:
+    """SCENE PHOTO pairs, or one PHOTO for layers."""
+    if layers is not None and len(paths) != 1:
+        raise InputError(
+            f"fit: got {len(paths)} paths with --layers; give --layers LAYERS.exr PHOTO"
+        )
+    if layers is None and (len(paths) % 2 or not paths):
+        raise InputError(
+            f"fit: got {len(paths)} paths; give SCENE PHOTO, for several photos "
+            "SCENE1 PHOTO1 SCENE2 PHOTO2, or --layers LAYERS.exr PHOTO"
+        )
+
+
+def _tone_curve(text: str | None) -> Any:
+    """The option's text in the form that scene files use; `InputError` for anything else."""
+    if text in (None, "linear", "srgb"):
+        return text
+    try:
+        exposure, gamma = (float(number) for number in str(text).split(","))
+    except ValueError:
+        raise InputError(f"--tone-curve {text}: must be linear, srgb or EXPOSURE,GAMMA") from None
+    return {"exposure": exposure, "gamma": gamma}

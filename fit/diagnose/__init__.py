@@ -1,0 +1,1 @@
+"""What an end point is worth: errors, influence, misfits, and whether there is air."""

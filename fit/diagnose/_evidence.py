@@ -1,0 +1,114 @@
+"""Samples and end point of a fit, for what a result computes on demand."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from model_jax._shapes import AnyArray
+
+from .._compile import float64, program
+from ..solve._loss import Loss, weigh
+from ..solve._parameters import Parameter
+from ..solve._problem import Problem
+from ..solve._search import End
+from ..solve._task import Task
+from ._influence import influence_maps
+from ._residuals import residuals_of
+from ._spread import Spread
+
+BELIEVED = 0.25
+"""Weight from which a sample of a robust fit counts as light to be explained: with Cauchy's loss
+that of four standard deviations of the noise."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Samples and end point, for what a result computes on demand."""
+
+    task: Task
+    problem: Problem
+    end: End
+    along: Float[np.ndarray, "e p"]
+    told: tuple[Parameter, ...]
+    spread: Spread
+
+    def to_told(self) -> Float[np.ndarray, "t p"]:
+        """Rows of the told parameters along the free directions."""
+        rows = [p.of(self.along) for p in self.told]
+        return np.array(rows).reshape(len(self.told), self.along.shape[1])
+
+    def influence(self, name: str) -> list[Float[np.ndarray, "_ _ 3"]]:
+        """`FitResult.influence` for all photos."""
+        row = self.to_told()[[p.name for p in self.told].index(name)]
+        problem = self.problem
+        return influence_maps(
+            problem.columns,
+            self.task.sizes,
+            problem.samples,
+            problem.model,
+            self.end.vector,
+            self.along,
+            row,
+            self.spread.hessian,
+        )
+
+    def weights(self) -> list[Float[np.ndarray, "_ _"]]:
+        """`FitResult.weights` for all photos."""
+        found = []
+        sizes = self.task.sizes
+        residuals = residuals_at(self.problem, self.end)
+        for c, size, residual in zip(self.problem.columns, sizes, residuals, strict=True):
+            weights = np.full(size, np.nan, np.float32)
+            believed = belief_in(residual, self.problem.model.loss)
+            weights.reshape(-1)[c.index] = believed.min(axis=-1)
+            found.append(weights)
+        return found
+
+
+CHUNK = 65536
+
+
+def belief_in(residual: Float[np.ndarray, "n 3"], loss: Loss) -> Float[np.ndarray, "n 3"]:
+    """Weight that a loss gives to samples, 0 to 1; 1 for clipped ones."""
+    if loss.name == "linear":
+        return np.broadcast_to(1.0, residual.shape)
+    found = np.empty_like(residual)
+    piece = np.zeros((CHUNK, 3))  # of one size, so that JAX compiles once
+    with float64():
+        for start in range(0, len(residual), CHUNK):
+            part = np.nan_to_num(residual[start : start + CHUNK])
+            piece[: len(part)] = part
+            found[start : start + CHUNK] = np.asarray(_belief(piece, loss))[: len(part)]
+    return found
+
+
+@program
+def _belief(residual: Float[AnyArray, "n 3"], loss: Loss) -> Float[jax.Array, "n 3"]:
+    return weigh(jnp.asarray(residual), None, loss)[2]
+
+
+def residuals_at(problem: Problem, end: End) -> list[Float[np.ndarray, "_ 3"]]:
+    return residuals_of(problem.columns, problem.samples, problem.model, end.vector)
+
+
+def square_sum_of(values: Float[np.ndarray, " n"]) -> tuple[int, float]:
+    """Number and square sum of what is no NaN."""
+    known = values[np.isfinite(values)].astype(np.float64)
+    return len(known), float(known @ known)
+
+
+def explained_share(
+    light: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, "n 3"], loss: Loss
+) -> float | None:
+    """Share of the light's variance, of measured samples that a robust loss does not dismiss."""
+    believed = belief_in(residual, loss) > BELIEVED
+    left, total = 0.0, 0.0
+    for k in range(3):
+        known = believed[:, k] & np.isfinite(residual[:, k])
+        here = light[known, k].astype(np.float64)
+        total += square_sum_of(here - here.mean() if len(here) else here)[1]
+        left += square_sum_of(residual[known, k])[1]
+    return 1 - left / total if total > 0 else None

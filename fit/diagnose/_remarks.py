@@ -1,0 +1,285 @@
+"""What a fit says beside its numbers: what it left out, why there is no air, what to beware of."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from model_jax import Layers
+
+from .._result import FitResult, LeftOut
+from .._verdict import STRUCTURED_PX, WELL_EXPLAINED
+from ..photo._photo import Photo
+from ..photo._pixels import Columns, Pixels, as_picture, light_at, take_columns
+from ..solve._parameters import CHANNELS, Parameter, directions
+from ..solve._samples import on_device, to_samples
+from ..solve._task import Task
+from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
+from ._evidence import BELIEVED, CHUNK, explained_share
+from ._patterns import CAUSES
+from ._residuals import residuals_of
+
+
+def pixel_remarks(pixels: Sequence[Pixels]) -> list[LeftOut]:
+    """What could not be taken into account of the pixels used."""
+    return [
+        LeftOut(f"{what}, photo {number}" if len(pixels) > 1 else what, why)
+        for number, px in enumerate(pixels, 1)
+        for what, why in px.remarks
+    ]
+
+
+def leave_out(
+    task: Task, columns: Sequence[Columns]
+) -> tuple[tuple[Parameter, ...], list[LeftOut]]:
+    """What can be fitted at all: no weight without shadow, no tint without colour or alone."""
+    asked = [p for p in task.parameters if p.role == "free"]
+    left_out: list[LeftOut] = []
+    count = sum(len(c.lit) for c in columns)
+    has_dark = any(c.dark is not None and (c.dark > c.width_error).any() for c in columns)
+    has_lit = any((c.lit > c.width_error).any() for c in columns)
+    why = None
+    if not any(layers.has_shadow for layers in task.layers):
+        why = "the layers hold no shadow: no sun is given, or no air in view is in shadow"
+    elif count and not has_dark:
+        why = "no pixel used is in shadow"
+    elif count and not has_lit and any(p.family == "brightness" for p in asked):
+        why = "no pixel used is lit, so only brightness × shadow is told; shadow is held"
+    if why and any(p.family == "shadow" for p in asked):
+        asked = [p for p in asked if p.family != "shadow"]
+        left_out.append(LeftOut("shadow weight", why))
+    for k, channel in enumerate(CHANNELS):
+        if all(c.color[k] == 0 for c in columns):
+            colourless = {f"tint.{channel}", f"shadow.{channel}"}
+            why = f"the air's color is 0 in channel {channel}"
+            left_out += [LeftOut(p.name, why) for p in asked if p.name in colourless]
+            asked = [p for p in asked if p.name not in colourless]
+    tints = [p for p in asked if p.family == "tint"]
+    if tints and columns and all(len(c.copies) == 2 for c in columns):
+        named = [p.name for p in tints] if len(tints) < 3 else ["tint"]
+        left_out += [LeftOut(name, "a grey photo does not tell colours") for name in named]
+        asked = [p for p in asked if p not in tints]
+        tints = []
+    if tints and not directions(tints, task.parameters)[0].shape[1]:
+        left_out.append(LeftOut(tints[0].name, "the mean of the tints fixes the only free one"))
+        asked.remove(tints[0])
+    return tuple(asked), left_out
+
+
+def why_no_data(
+    task: Task,
+    pixels: Sequence[Pixels],
+    columns: Sequence[Columns],
+    asked: tuple[Parameter, ...],
+) -> str | None:
+    """Why there is nothing to fit, or None."""
+    for number, (photo, px, c) in enumerate(zip(task.photos, pixels, columns, strict=True)):
+        which = f"photo {number + 1}: " if len(columns) > 1 else ""
+        if not px.count:
+            counts = ", ".join(f"{count} {reason}" for reason, count in px.excluded.items())
+            return f"{which}no pixel can be used ({counts})"
+        measured = np.ones_like(c.light, bool) if c.clipped is None else c.clipped == 0
+        if c.clipped is not None and not measured.any():
+            what = "saturated" if (c.clipped > 0).any() else "black"
+            return f"{which}the photo is {what} where the air is"
+        if not light_at(photo, c.index).any():
+            return f"{which}the photo is black where the air is"
+        light = np.where(measured, c.light, np.nan)
+        constant = not (np.nanmax(light, axis=0) > np.nanmin(light, axis=0)).any()
+        if constant and c.clipped is None and _varies(c):
+            return f"{which}the photo is the same in all pixels used, the air is not"
+    need = directions(asked, task.parameters)[0].shape[1] + 1
+    count = sum(px.count for px in pixels)
+    if count < need:
+        return f"the number of pixels that can be used is {count}, needed are {need}"
+    return None
+
+
+def _varies(columns: Columns) -> bool:
+    """The air's width is not the same everywhere."""
+    parts = [columns.lit] if columns.dark is None else [columns.lit, columns.dark]
+    return any(float(np.ptp(part)) > 2 * columns.width_error for part in parts)
+
+
+def why_airless(
+    task: Task, pixels: Sequence[Pixels], columns: Sequence[Columns], result: FitResult
+) -> list[str | None]:
+    """Why each photo shows no air, or None.
+
+    Asked only where the look leaves more of the light unexplained than `NO_BARE_LIMB`: the question
+    costs up to seconds. A share that holds the planet's surface tells less, and so does the ring
+    beside it: `WELL_EXPLAINED` is enough there. Edges tell a bare limb from air best and count
+    here; where a look explains so much of them and of the rest, it does of all.
+    """
+    found: list[str | None] = [None] * len(task.photos)
+    if not any(_shows_planet(layers) for layers in task.layers):
+        return found
+    unit = float(task.layers[0].width_unit)
+    beside = [
+        take_columns(photo, layers, px.edges, unit)
+        for photo, layers, px in zip(task.photos, task.layers, pixels, strict=True)
+    ]
+    shares = zip(result.photos, _shares(beside, result), strict=True)
+    for number, (one, of_edges) in enumerate(shares):
+        photo, layers = task.photos[number], task.layers[number]
+        enough = NO_BARE_LIMB if layers.surface is None else WELL_EXPLAINED
+        explained = all(
+            share is not None and share >= enough for share in (one.explained, *of_edges)
+        )
+        if explained or not _shows_planet(layers):
+            continue
+        widths = []
+        for of in ("lit", "dark"):
+            if getattr(columns[number], of) is None:
+                continue
+            full = np.zeros(np.shape(layers.front), np.float32)
+            for part in (columns[number], beside[number]):
+                full.reshape(-1)[part.index] = getattr(part, of)
+            widths.append(full)
+        used = pixels[number].used | pixels[number].edges
+        if task.loss != "linear":
+            used &= ~(result.weights(number) <= BELIEVED)
+        evidence = find_air(
+            photo if isinstance(photo, Photo) else as_picture(photo),
+            np.asarray(layers.planet) != 0,
+            used,
+            widths,
+        )
+        if not evidence.has_air:
+            found[number] = (
+                "no atmosphere shows: the planet's bare limb, blurred by "
+                f"{evidence.bare.blur_px:.1f} px, explains the light beyond it as well "
+                f"(the shell's ΔBIC is {evidence.delta_bic:.0f}, needed are more than "
+                f"{EVIDENCE:.0f})"
+            )
+    return found
+
+
+def _shows_planet(layers: Layers) -> bool:
+    """The layers know a planet, whose limb can be held against air."""
+    return layers.planet is not None and bool(np.any(layers.planet))
+
+
+def _shares(columns: Sequence[Columns], result: FitResult) -> list[list[float | None]]:
+    """What a fit explains of the light of other pixels; nothing is said of none."""
+    evidence = result.evidence
+    if evidence is None or not any(len(c.index) for c in columns):
+        return [[] for _ in columns]
+    model = evidence.problem.model
+    samples = on_device(to_samples(columns))
+    left = residuals_of(columns, samples, model, evidence.end.vector)
+    return [
+        [explained_share(c.light, residual, model.loss)] if len(c.index) else []
+        for c, residual in zip(columns, left, strict=True)
+    ]
+
+
+def file_remarks(task: Task) -> list[str]:
+    """What the photos' files say that was not followed."""
+    several = len(task.photos) > 1
+    return [
+        f"Photo {number}: {remark}" if several else remark
+        for number, photo in enumerate(task.photos, 1)
+        for remark in (photo.remarks if isinstance(photo, Photo) else ())
+    ]
+
+
+def warnings_of(
+    result: FitResult, task: Task, residuals: Sequence[Float[np.ndarray, "_ 3"]]
+) -> list[str]:
+    found = []
+    explained, errors = result.explained, result.errors
+    told = [result.parameters[name] for name in result.correlation_names]
+    undone = bool(told) and all(e.compression_shift is not None for e in told)
+    if explained is not None and explained < WELL_EXPLAINED:
+        found.append(
+            "Look at what is left over: where it has structure, this look cannot follow the photo."
+        )
+    found += _misfit_warnings(result)
+    found += file_remarks(task)
+    structured = errors is not None and errors.correlation_px > STRUCTURED_PX
+    seen = undone or result.misfits or (explained or 0) >= 1 - 1e-6
+    if errors is not None and structured and not seen:
+        remedy = ""
+        if task.loss == "linear" and _sticks_out(residuals):
+            remedy = (
+                ", and a part of the pixels sticks out: mask what shows something else than air, "
+                "or use a robust loss"
+            )
+        elif (explained or 0) >= WELL_EXPLAINED:  # else that was said above
+            remedy = ": look at where it lies in the residual picture"
+        found.append(
+            f"What is left over hangs together over {errors.correlation_px:.0f} pixels, which is "
+            f"no noise{remedy}."
+        )
+    if any(photo.mix is not None for photo in result.photos):
+        found.append(
+            "The photo is grey: copies of a channel count once, and the look is compared by its "
+            "luminance (ITU-R BT.709). What other weights would change is in brightness's interval."
+        )
+    negative = [n for n, e in result.parameters.items() if e.stderr and e.value + 3 * e.stderr < 0]
+    if any(name.startswith("background") for name in negative):
+        found.append("The background came out negative: the model takes light away.")
+    if levels := [name for name in negative if name.startswith("black_level")]:
+        found.append(
+            f"Negative by more than three standard errors: {', '.join(levels)}. The model takes "
+            "light away there: check the photo's tone curve, or hold its black level."
+        )
+    beside = [f"{n} is {e.one_sided}" for n, e in result.parameters.items() if e.one_sided]
+    if beside:
+        found.append(
+            f"Within its own error of a bound, so told on one side only: {', '.join(beside)}."
+        )
+    drawn = {
+        name: (e.layer_error, max(e.interval[1] - e.value, e.value - e.interval[0]))
+        for name, e in result.parameters.items()
+        if e.layer_error is not None and e.interval is not None
+    }
+    coarse = {name: shift for name, (shift, reach) in drawn.items() if shift > reach}
+    if coarse:
+        shifts = ", ".join(f"{name} {shift:.2g}" for name, shift in coarse.items())
+        found.append(
+            f"The layers hold a mesh, whose error can shift values by more than their intervals "
+            f"say ({shifts}): use more planet.triangles, no relief, or --source raster."
+        )
+    lossy = any(isinstance(p, Photo) and p.lossy for p in task.photos)
+    if lossy and told and not undone:
+        asked = task.jpeg == "undo"
+        found.append(
+            "The photo's compression rounds colours block by block, which the intervals know only "
+            "in part: fit the picture before it was compressed, if there is one"
+            + ("." if asked else ", or let its JPEG be undone (--jpeg undo).")
+        )
+    return found
+
+
+def _sticks_out(residuals: Sequence[Float[np.ndarray, "_ 3"]]) -> bool:
+    """The root mean square is over one and a half times what the median tells of normal residuals:
+    some stick out that a mask or a robust loss can take away. Of a wave it is 0.67 times."""
+    some = np.concatenate([r[:: max(1, len(r) // CHUNK)] for r in residuals])  # evenly chosen
+    sizes = np.abs(some[np.isfinite(some)].astype(np.float64))
+    return bool(np.sqrt(np.mean(sizes**2)) > 1.5 * 1.4826 * np.median(sizes))
+
+
+def _misfit_warnings(result: FitResult) -> list[str]:
+    """One sentence for each photo in which a cause shows."""
+    found = []
+    for number in range(len(result.photos)):
+        causes = [misfit for misfit in result.misfits if misfit.photo == number]
+        if not causes:
+            continue
+        which = f" of photo {number + 1}" if len(result.photos) > 1 else ""
+        also = ", ".join(misfit.cause for misfit in causes[1:])
+        like = " or ".join(CAUSES[name][0] for name in (causes[0].cause, *causes[0].rivals))
+        found.append(
+            f"The light left over{which} is not noise alone: {percent(causes[0].share)} of it "
+            f"goes with {like}"
+            + (f"; less plainly with: {also}" if also else "")
+            + ". Intervals are widened by what that may have moved."
+        )
+    return found
+
+
+def percent(share: float) -> str:
+    """With as many nines as it takes, and never rounded up to 100 %."""
+    return f"{np.floor(share * 1e4) / 1e2:.4g} %" if share > 0 else "none"

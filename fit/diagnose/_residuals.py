@@ -1,0 +1,110 @@
+"""Residuals, predictions and slopes by the widths, photo by photo."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from model_jax._shapes import AnyArray
+
+from .._compile import float64, program
+from ..photo._pixels import Columns
+from ..solve._model import Model, predict
+from ..solve._parameters import Entries
+from ..solve._samples import Samples, tile_at
+
+_GROUP = 8
+
+
+def residuals_of(
+    columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """Recorded minus predicted light of each photo's used samples; NaN where one is clipped, or a
+    copy."""
+    found = _differences(columns, samples, model, vector)
+    for c, residual in zip(columns, found, strict=True):
+        residual[:, c.copies] = np.nan
+        if c.clipped is not None:
+            residual[c.clipped != 0] = np.nan
+    return found
+
+
+def predictions_of(
+    columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """Predicted light of each photo's used samples."""
+    found = _differences(columns, samples, model, vector)
+    return [c.light - difference for c, difference in zip(columns, found, strict=True)]
+
+
+def _differences(
+    columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """Recorded minus predicted light, or bound minus predicted light."""
+    measured = replace(samples, clipped=None)  # one program serves photos with and without
+    return _by_photo(columns, samples, lambda tiles: _residuals(vector, measured, model, tiles))
+
+
+def width_slopes_of(
+    columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """By how much each used sample changes with a width of air, lit or dark, whichever is more."""
+    return _by_photo(columns, samples, lambda tiles: _width_slopes(vector, samples, model, tiles))
+
+
+def _by_photo(
+    columns: Sequence[Columns], samples: Samples, of_tiles: Callable[[np.ndarray], jax.Array]
+) -> list[Float[np.ndarray, "_ 3"]]:
+    """What is computed tile by tile, [tiles, 3, n], in the order of each photo's columns."""
+    found = [np.empty_like(c.light) for c in columns]
+    starts = [0] * len(columns)
+    count, photo = np.asarray(samples.count), np.asarray(samples.photo)
+    with float64():
+        for filled, numbers in tile_groups(samples):
+            values = np.asarray(of_tiles(numbers))
+            for k in range(filled):
+                n, which = count[numbers[k]], photo[numbers[k]]
+                found[which][starts[which] : starts[which] + n] = values[k, :, :n].T
+                starts[which] += n
+    return found
+
+
+def tile_groups(samples: Samples) -> Iterator[tuple[int, np.ndarray]]:
+    """Tile numbers, a fixed number at a time; those beyond the last repeat tile 0."""
+    used = int(samples.used)
+    for start in range(0, used, _GROUP):
+        numbers = np.arange(start, start + _GROUP)
+        yield min(_GROUP, used - start), np.where(numbers < used, numbers, 0).astype(np.int32)
+
+
+@program
+def _residuals(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray) -> jax.Array:
+    def residual(number: jax.Array) -> jax.Array:
+        tile = tile_at(samples, number)
+        return tile.light - predict(vector, tile, model.linear)
+
+    return jax.lax.map(residual, jnp.asarray(numbers))
+
+
+@program
+def _width_slopes(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray) -> jax.Array:
+    def slopes(number: jax.Array) -> jax.Array:
+        tile = tile_at(samples, number)
+        ones = jnp.ones_like(tile.lit)
+
+        def lit(width: jax.Array) -> jax.Array:
+            return predict(vector, replace(tile, lit=width), model.linear)
+
+        found = jnp.abs(jax.jvp(lit, (tile.lit,), (ones,))[1])
+        if tile.dark is None:
+            return found
+
+        def dark(width: jax.Array) -> jax.Array:
+            return predict(vector, replace(tile, dark=width), model.linear)
+
+        return jnp.maximum(found, jnp.abs(jax.jvp(dark, (tile.dark,), (ones,))[1]))
+
+    return jax.lax.map(slopes, jnp.asarray(numbers))

@@ -1,0 +1,373 @@
+"""Which pixels can tell something, why the others cannot, and their columns.
+
+A pixel counts when air lies in front of space, or in front of the planet where the layers say what
+the planet looks like. `Columns` are a photo's used pixels as the model sees them; `solve._samples`
+lays them out for the solver.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int, Int8, UInt
+
+from model_jax import InputError, Layers
+
+from .._choices import Sampling
+from ._photo import REASONS, Photo
+from ._widths import rounding_of_widths, widths_of
+
+PhotoLike = Photo | np.ndarray | jax.Array
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """The choice of pixels of a photo. `used.sum() + sum(excluded.values()) == used.size`."""
+
+    used: Bool[np.ndarray, "h w"]
+    """True where a pixel takes part in the fit."""
+    edges: Bool[np.ndarray, "h w"]
+    """Pixels that would, were they not on an edge."""
+    excluded: dict[str, int]
+    """Reason → pixels; each pixel once, under the first reason that applies; no zero counts."""
+    remarks: tuple[tuple[str, str], ...]
+    """(what, why) of what could not be taken into account."""
+
+    @property
+    def count(self) -> int:
+        return int(self.used.sum())
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The used pixels of one photo, float64; widths in `width_unit`s of the first photo."""
+
+    index: Int[np.ndarray, " n"]
+    """Flat index of each in its photo; row by row, but those with a clipped sample last."""
+    lit: Float[np.ndarray, " n"]
+    dark: Float[np.ndarray, " n"] | None
+    light: Float[np.ndarray, "n 3"]
+    """What the photo recorded, float32 of codes; for a clipped sample the bound that it tells."""
+    surface: Float[np.ndarray, "n 3"] | None
+    clipped: Int8[np.ndarray, "n 3"] | None
+    """1: at least this bright, -1: at most, 0: measured; None: all are measured."""
+    color: Float[np.ndarray, "3"]
+    width_error: float
+    """Bound on the rounding of a width, from the layers' dtype and depths."""
+    drawn_error: Float[np.ndarray, " n"] | None = None
+    """How far each width may be off by what drew the layers; None where they are exact."""
+    mix: Float[np.ndarray, "3 3"] | None = None
+    """Of a grey photo: what each channel shows of red, green and blue. Channels that are copies of
+    an earlier one have light 0 and no surface here. None where no channel is a copy."""
+
+    @property
+    def copies(self) -> list[int]:
+        """The channels that are copies of an earlier one."""
+        if self.mix is None:
+            return []
+        return [k for k in range(3) if (self.mix[:k] == self.mix[k]).all(axis=1).any()]
+
+
+def as_picture(photo: PhotoLike) -> np.ndarray:
+    """Linear light [h, w, 3] of a photo or an array of floats, as it is stored.
+
+    Raises:
+        InputError: an array of another shape, or of whole numbers (codes, not light).
+    """
+    picture = photo.linear if isinstance(photo, Photo) else np.asarray(photo)
+    if picture.ndim != 3 or picture.shape[2] != 3:
+        raise InputError(f"photo: has the shape {picture.shape}; it must be [height, width, 3]")
+    if picture.dtype.kind != "f":
+        raise InputError(
+            f"photo: holds {picture.dtype} numbers, not linear light; "
+            "load it with load_photo or convert it to float"
+        )
+    return picture
+
+
+def grey_spread(color: Float[np.ndarray, "3"]) -> float:
+    """How much the light of coloured air in a grey photo hangs on how it was made grey.
+
+    Relative to `LUMINANCE`'s: root mean square over the usual weights, of light and of codes.
+    """
+    light = _GREYS @ color
+    codes = (_GREYS @ color ** (1 / _CODES)) ** _CODES
+    own = LUMINANCE @ color
+    if not own > 0:
+        return 0.0
+    return float(np.sqrt(np.mean((np.concatenate([light, codes]) / own - 1) ** 2)))
+
+
+def size_of(photo: PhotoLike) -> tuple[int, int]:
+    """Height and width. Raises as `as_picture`."""
+    return photo.shape if isinstance(photo, Photo) else as_picture(photo).shape[:2]
+
+
+def light_at(photo: PhotoLike, index: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    """Linear light of the pixels of flat indices."""
+    if isinstance(photo, Photo):
+        return photo.linear_at(index)
+    return as_picture(photo).reshape(-1, 3)[index]
+
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Of linear light, ITU-R BT.709-6, table 3."""
+
+_GREYS = np.array([[0.2126, 0.7152, 0.0722], [0.299, 0.587, 0.114], [1 / 3] * 3, [0.0, 1.0, 0.0]])
+"""Weights that make pictures grey: luminance, luma (BT.601), the mean, the green channel."""
+_CODES = 2.2
+"""Power of the tone curve of codes, of which they are taken as often as of light."""
+
+LEAST_INSIDE = 0.25
+"""Share of the air's pixels that must be left without those on edges, or these are kept."""
+
+_ROUNDINGS = 4
+"""Of depths, up to which two are one."""
+
+
+def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area") -> Pixels:
+    """The pixels that a fit uses.
+
+    Excluded, in this order: "no air"; "planet without a surface layer"; of a photo sampled by area
+    "planet's limb", "edge of the air" and "edge of the shadow", for layers know the light in the
+    pixel's middle; what the photo itself excludes ("masked", "not finite"); "layers not finite".
+    Layers that do not know where the planet is, and bring no surface, use all pixels with air, and
+    air that is hardly more than edges keeps these; both with a remark.
+
+    Raises:
+        InputError: photo and layers differ in size; a photo of a wrong shape or type.
+    """
+    size, layers_size = size_of(photo), np.shape(layers.front)
+    if size != layers_size:
+        raise InputError(
+            f"photo: is {size[1]}×{size[0]}, the layers are {layers_size[1]}×{layers_size[0]}; "
+            "render the layers in the photo's size"
+        )
+    remarks: list[tuple[str, str]] = []
+    reasons = {"no air": ~np.asarray(layers.has_air)}
+    if layers.surface is None:
+        if layers.planet is None:
+            why = "the layers do not tell planet from space, so all pixels with air are used"
+            remarks.append(("choice of sky pixels", why))
+        else:
+            reasons["planet without a surface layer"] = np.asarray(layers.planet) != 0
+    edges: dict[str, np.ndarray] = {}
+    if sampling == "area":
+        edges = _edges(layers)
+        air = ~np.logical_or.reduce(list(reasons.values()))
+        inside = air & ~np.logical_or.reduce(list(edges.values()))
+        if inside.sum() >= LEAST_INSIDE * air.sum():
+            reasons |= edges
+        else:
+            edges = {}
+            why = (
+                "hardly a pixel of air is without an edge; these count as if sampled in the middle"
+            )
+            remarks.append(("averaging on edges", why))
+    if isinstance(photo, Photo):
+        reasons |= {name: photo.reason == k + 1 for k, name in enumerate(REASONS)}
+    else:
+        reasons["not finite"] = ~np.isfinite(as_picture(photo)).all(axis=-1)
+    reasons["layers not finite"] = ~_finite(layers)
+    used = np.ones(size, dtype=bool)
+    left_out = np.zeros(size, dtype=bool)
+    excluded: dict[str, int] = {}
+    for reason, where in reasons.items():
+        here = used & where
+        if count := int(here.sum()):
+            excluded[reason] = count
+        if reason in edges:
+            left_out |= here
+        else:
+            left_out &= ~where
+        used &= ~where
+    return Pixels(used, left_out, excluded, tuple(remarks))
+
+
+def _edges(layers: Layers) -> dict[str, Bool[np.ndarray, "h w"]]:
+    """Pixels that an edge runs through, by what it is the edge of.
+
+    Of a straight edge through a pixel's square, the middle of the pixel or of a neighbour beside or
+    above it lies on the other side.
+    """
+    kinds = {"edge of the air": [np.asarray(layers.has_air)]}
+    if layers.planet is not None:
+        kinds = {"planet's limb": [np.asarray(layers.planet) != 0]} | kinds
+    if layers.has_shadow:
+        kinds["edge of the shadow"] = _shade(layers)
+    known = _finite(layers)
+    return {
+        name: np.logical_or.reduce([_border(part, known) for part in parts])
+        for name, parts in kinds.items()
+    }
+
+
+def _shade(layers: Layers) -> list[Bool[np.ndarray, "h w"]]:
+    """Where some of the air is in each body's shadow, and where all of it is."""
+    front, back = np.asarray(layers.front), np.asarray(layers.back)
+    begin, until = np.asarray(layers.shadow_front), np.asarray(layers.shadow_back)
+    with np.errstate(invalid="ignore"):
+        rounding = _ROUNDINGS * np.finfo(front.dtype).eps * np.abs(back)
+        some = np.minimum(back, until) - np.maximum(front, begin) > rounding
+        all_of = (begin < front + rounding) & (until > back - rounding)
+    air = np.asarray(layers.has_air)
+    return [air & one for part in (some, all_of) for one in part.reshape(-1, *air.shape)]
+
+
+def _border(
+    part: Bool[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels beside one of the other kind, and that one; of those that are known."""
+    found = np.zeros(part.shape, bool)
+    for a, b in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
+        differ = (part[a] != part[b]) & known[a] & known[b]
+        found[a] |= differ
+        found[b] |= differ
+    return found
+
+
+def take_columns(
+    photo: PhotoLike, layers: Layers, used: Bool[np.ndarray, "h w"], width_unit: float
+) -> Columns:
+    """The used pixels in numbers.
+
+    The widths are `layer_widths` of the layers' depths taken to float64: from float32 layers they
+    are the exact widths of the stored depths. A sample at a photo's highest code is known to be at
+    least the light half a code below it, one at code 0 at most the light half a code above.
+    """
+    index = np.flatnonzero(used).astype(np.int32)  # `load_photo` reads fewer than 2^28
+    clipped = None
+    if isinstance(photo, Photo) and photo.codes is not None:
+        clipped = _clipped(photo, photo.codes.reshape(-1, 3)[index])
+        if not clipped.any():
+            clipped = None
+    if clipped is not None:
+        last = np.argsort(clipped.any(axis=1), kind="stable")
+        index, clipped = index[last], clipped[last]
+    light = light_at(photo, index)
+    light = light.astype(np.result_type(light, np.float32), copy=False)
+    if clipped is not None and isinstance(photo, Photo):
+        light = _bounded(photo, light, clipped)
+    lit, dark = widths_of(layers, index, width_unit)
+    surface = None
+    if layers.surface is not None:
+        surface = np.asarray(layers.surface).reshape(-1, 3)[index].astype(np.float64)
+    columns = Columns(
+        index=index,
+        lit=lit,
+        dark=dark,
+        light=light,
+        surface=surface,
+        clipped=clipped,
+        color=np.asarray(layers.color, np.float64)[:3],
+        width_error=rounding_of_widths(layers, used, width_unit),
+        drawn_error=None
+        if layers.width_error is None
+        else np.asarray(layers.width_error).reshape(-1)[index] / width_unit,
+        mix=_mix(light, clipped),
+    )
+    return columns if columns.mix is None else _without_copies(columns)
+
+
+def unlit_columns(
+    layers: Layers, index: Int[np.ndarray, " n"], like: Columns, width_unit: float
+) -> Columns:
+    """Any pixels of a photo of which `like` has the used ones, without light: for predictions.
+
+    Where there is no air its width is 0.
+    """
+    air = np.asarray(layers.has_air).reshape(-1)[index]
+    with np.errstate(invalid="ignore"):
+        lit, dark = widths_of(layers, index, width_unit)
+    surface = None
+    if layers.surface is not None:
+        surface = np.asarray(layers.surface).reshape(-1, 3)[index].astype(np.float64)
+    found = replace(
+        like,
+        index=index,
+        lit=np.where(air, lit, 0),
+        dark=None if dark is None else np.where(air, dark, 0),
+        light=np.zeros((len(index), 3), like.light.dtype),
+        surface=surface,
+        clipped=None,
+        drawn_error=None,
+    )
+    return found if like.mix is None else _without_copies(found)
+
+
+def _mix(
+    light: Float[np.ndarray, "n 3"], clipped: Int8[np.ndarray, "n 3"] | None
+) -> Float[np.ndarray, "3 3"] | None:
+    """What each channel shows of red, green and blue, if they are equal in all pixels.
+
+    A picture made grey shows luminance; by which weights nobody knows, and `LUMINANCE` is taken.
+    Of less than two pixels with light, not clipped, nothing is said.
+    """
+    measured = light if clipped is None else light[~clipped.any(axis=1)]
+    if len(measured) < 2 or not measured.any() or not (light == light[:, :1]).all():
+        return None
+    return np.tile(LUMINANCE, (3, 1))
+
+
+def _without_copies(columns: Columns) -> Columns:
+    """Copies count once: the first channel of those that are equal."""
+    assert columns.mix is not None
+    own = np.isin(np.arange(3), columns.copies, invert=True)
+    return replace(
+        columns,
+        light=columns.light * own.astype(columns.light.dtype),
+        surface=None if columns.surface is None else columns.surface @ columns.mix.T * own,
+        clipped=None if columns.clipped is None else columns.clipped * own.astype(np.int8),
+    )
+
+
+def with_codes(columns: Columns, photo: Photo, codes: UInt[np.ndarray, "n 3"]) -> Columns:
+    """The columns as if the photo had stored these codes in the used pixels.
+
+    Of columns without clipped samples none is taken as one.
+    """
+    assert photo.light is not None
+    light = photo.light[codes]
+    if columns.clipped is None:
+        return replace(columns, light=light)
+    clipped = _clipped(photo, codes)
+    return replace(columns, light=_bounded(photo, light, clipped), clipped=clipped)
+
+
+def _clipped(photo: Photo, codes: UInt[np.ndarray, "n 3"]) -> Int8[np.ndarray, "n 3"]:
+    """Which samples are at the lowest or the highest code."""
+    clipped = (codes == photo.top).astype(np.int8)
+    clipped -= codes == 0
+    return clipped
+
+
+def _bounded(
+    photo: Photo, light: Float[np.ndarray, "n 3"], clipped: Int8[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """The light, and the bound that it tells where it is clipped."""
+    black, white = photo.limits
+    return np.where(clipped > 0, white, np.where(clipped < 0, black, light))
+
+
+def _finite(layers: Layers) -> Bool[np.ndarray, "h w"]:
+    """True where the fit can compute with the layers; an infinite shadow depth is clamped later."""
+    finite = np.isfinite(np.asarray(layers.front)) & np.isfinite(np.asarray(layers.back))
+    for shadow in (layers.shadow_front, layers.shadow_back):
+        if shadow is not None:
+            unknown = np.isnan(np.asarray(shadow))
+            finite &= ~unknown.reshape(-1, *finite.shape).any(axis=0)
+    if layers.surface is not None:
+        finite &= np.isfinite(np.asarray(layers.surface)).all(axis=-1)
+    if layers.stretch is not None:
+        finite &= np.isfinite(np.asarray(layers.stretch))
+    return finite
+
+
+def block_numbers(index: np.ndarray, size: tuple[int, int], side: int) -> np.ndarray:
+    """Number of the block of each pixel, counted over the blocks that hold any."""
+    across = -(-size[1] // side)
+    rows, columns = np.divmod(index, size[1])
+    number = rows // side * across + columns // side
+    holds = np.zeros((-(-size[0] // side)) * across, bool)
+    holds[number] = True
+    return np.asarray((np.cumsum(holds) - 1)[number])

@@ -1,0 +1,116 @@
+"""What the photo cannot tell, in words: flat directions of the square sum and their names.
+
+The singular values of the Jacobian, its columns scaled to one length, say which combinations of
+parameters change nothing in the pixels used. Each such direction is named by the parameters that
+take part and by what of them is told after all: their product, their ratio, their sum; the one that
+is told last in order is held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from ._parameters import BRIGHTNESS, Entries, Parameter
+from ._samples import TILE
+
+if TYPE_CHECKING:
+    from ._problem import Problem
+
+TAKES_PART = 0.1
+"""Share of a flat direction, in units of the scaled columns, from which a parameter is named."""
+
+RESOLUTION = float(np.sqrt(2 * 3 * TILE * np.finfo(np.float64).eps))
+"""Singular values below this share are not told from zero. Squares of the Jacobian are what is
+summed, three to a pixel: alike summands round alike, all one way, so that an element of the matrix
+may be off by half an eps for each summand of a tile, and its eigenvalues by a few times that."""
+
+
+@dataclass(frozen=True)
+class Flat:
+    """A direction along which nothing changes."""
+
+    held: tuple[Parameter, ...]
+    """What is held at its start for it."""
+    why: str
+    """For people, without a full stop."""
+
+
+def find_flat(
+    problem: Problem,
+    vector: Entries,
+    free: Sequence[Parameter],
+    gram: Float[np.ndarray, "q q"],
+    along: Float[np.ndarray, "e p"],
+    moved: Sequence[tuple[Parameter, ...]],
+) -> Flat | None:
+    """The flattest direction, if rounding explains what is left of it; None if all is told."""
+    curved = gram[:-1, :-1]
+    size = np.sqrt(np.maximum(np.diag(curved), 0))
+    for column, parameters in enumerate(moved):
+        if size[column] == 0:
+            return Flat(parameters, _no_effect(vector, parameters[0]))
+    if len(size) < 2:
+        return None
+    scaled = curved / size / size[:, None]
+    values, vectors = np.linalg.eigh(scaled)
+    if values[0] > _threshold(problem) ** 2:
+        return None
+    part = vectors[:, 0]
+    members = [int(j) for j in np.flatnonzero(np.abs(part) > TAKES_PART)]
+    last = moved[members[-1]]
+    return Flat(last, _words(vector, along, part / size, members, moved))
+
+
+def _threshold(problem: Problem) -> float:
+    """Share below which a scaled singular value is rounding, of the sums or of the widths."""
+    square_sum = sum(float(c.lit @ c.lit) for c in problem.columns)
+    square_sum += sum(float(c.dark @ c.dark) for c in problem.columns if c.dark is not None)
+    n = sum(len(c.lit) for c in problem.columns)
+    error = max(c.width_error for c in problem.columns)
+    return float(RESOLUTION + 2 * error * np.sqrt(n / square_sum)) if square_sum > 0 else 1.0
+
+
+def _no_effect(vector: Entries, parameter: Parameter) -> str:
+    if vector[BRIGHTNESS] == 0 and parameter.family in ("tint", "shadow"):
+        return "brightness is 0, so it has no effect"
+    return "it has no effect in the pixels used"
+
+
+def _words(
+    vector: Entries,
+    along: Float[np.ndarray, "e p"],
+    step: Float[np.ndarray, " p"],
+    members: Sequence[int],
+    moved: Sequence[tuple[Parameter, ...]],
+) -> str:
+    """The sentence for a flat direction; `step` is in parameter units."""
+    names = list(dict.fromkeys(_name(moved[j]) for j in members))
+    listed = " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
+    if len(members) == 2 and len(names) == 2:
+        change = np.array([step[j] for j in members])
+        value = np.array([float(moved[j][0].of(vector)) for j in members])
+        tints = any(moved[j][0].family == "tint" for j in members)
+        relative = change / np.where(value != 0, value, np.nan)
+        if not tints and np.isclose(relative[0], -relative[1], rtol=1e-2):
+            return f"the photo tells {listed} only as a product; {_remedy(names)}"
+        if not tints and np.isclose(relative[0], relative[1], rtol=1e-2):
+            return f"the photo tells {listed} only as a ratio; {_remedy(names)}"
+        if not tints and np.isclose(change[0], -change[1], rtol=1e-2):
+            return f"the photo tells {listed} only as a sum; {_remedy(names)}"
+    if len(names) == 1:
+        return "it has no effect in the pixels used"
+    return f"in the pixels used {listed} act alike; {_remedy(names)}"
+
+
+def _remedy(names: Sequence[str]) -> str:
+    exposures = any(name.split(".")[0] == "exposure" for name in names)
+    return "fix one" + (" or add a photo of another exposure that is known" if exposures else "")
+
+
+def _name(parameters: tuple[Parameter, ...]) -> str:
+    return "tint" if len(parameters) > 1 else parameters[0].name

@@ -1,0 +1,112 @@
+"""Exact Gauss–Newton steps over all samples, and whether an end point needs another."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ._descend import FINISH, descend, make_solver
+from ._parameters import Entries, Parameter, chart, directions, is_outside, settle_tint
+from ._problem import Problem
+
+CHECK = 1e-6
+"""How far, as a share of the variance of one sample, the square sum at the end may lie above what a
+Gauss–Newton step promises: the parameters are then within 1e-3 standard errors of the optimum."""
+
+_FINISHES = 4
+_FINISH_STEPS = 8
+
+
+def put_inside(
+    vector: Entries, free: Sequence[Parameter], parameters: Sequence[Parameter]
+) -> Entries:
+    clipped = vector.copy()
+    for p in free:
+        clipped[list(p.entries)] = np.clip(p.of(vector), p.lower, p.upper)
+    return settle_tint(clipped, free, parameters)
+
+
+def finish(
+    problem: Problem, vector: Entries, free: Sequence[Parameter]
+) -> tuple[Entries, Float[np.ndarray, "q q"]]:
+    """Exact Gauss–Newton steps until the gradient over all samples is at rounding level.
+
+    On the entries themselves, for the chart's maps round by several eps, all pixels alike; where
+    such a step leaves the bounds or makes things worse, through optimistix on the chart.
+
+    Returns the vector and the exact pass there, along `directions(free)`.
+    """
+    along, _ = directions(free, problem.parameters)
+    gram = problem.gram(vector, along)
+    if not along.shape[1]:
+        return vector, gram
+    vector, gram = _steps(problem, vector, gram, free, along)
+    solver = make_solver("gauss_newton", FINISH)
+    for _ in range(_FINISHES):
+        if _is_done(problem, gram, along):
+            break
+        near = chart(vector, free, problem.parameters)
+        descent = descend(near, problem.samples, problem.model, solver, _FINISH_STEPS)
+        if not descent.finite or not descent.history[-1] < gram[-1, -1]:
+            break
+        vector = descent.entries
+        vector, gram = _steps(problem, vector, problem.gram(vector, along), free, along)
+    return vector, gram
+
+
+def _steps(
+    problem: Problem,
+    vector: Entries,
+    gram: Float[np.ndarray, "q q"],
+    free: Sequence[Parameter],
+    along: Float[np.ndarray, "e p"],
+) -> tuple[Entries, Float[np.ndarray, "q q"]]:
+    """Plain steps until the gradient is at its own rounding, or they keep no promise; and the pass
+    where they end.
+
+    A promise over the square sum is the squared cosine between residuals and slopes, and a cosine
+    of sums is known to some eps.
+    """
+    eps = float(np.finfo(np.float64).eps)
+    promise = _promise(gram)
+    for _ in range(_FINISH_STEPS):
+        square_sum = float(gram[-1, -1])
+        if not (64 * eps) ** 2 * square_sum + eps * problem.rounding < promise < np.inf:
+            break
+        tried = vector - along @ gauss_newton(gram)
+        if not np.isfinite(tried).all() or is_outside(tried, free):
+            break
+        after = problem.gram(tried, along)
+        left = _promise(after)
+        if not (after[-1, -1] <= (1 + 4 * eps) * square_sum and left < promise):
+            break
+        vector, gram, promise = tried, after, left
+    return vector, gram
+
+
+def _is_done(problem: Problem, gram: np.ndarray, along: np.ndarray) -> bool:
+    """A hundredth of the accuracy that is checked in the end, in the square sum."""
+    room = 1e-2 * CHECK * sample_variance(problem, gram, along) + problem.rounding / 4
+    return bool(_promise(gram) <= room)
+
+
+def _promise(gram: Float[np.ndarray, "q q"]) -> float:
+    """Gauss–Newton's word on how far the square sum would still fall: the gradient, scaled."""
+    return float(gram[:-1, -1] @ gauss_newton(gram)) if np.isfinite(gram).all() else np.inf
+
+
+def gauss_newton(gram: Float[np.ndarray, "q q"]) -> Float[np.ndarray, " p"]:
+    """The step, to be subtracted, along the directions of the matrix."""
+    size = np.sqrt(np.maximum(np.diag(gram)[:-1], 0))
+    size = np.where(size > 0, size, 1.0)
+    scaled = gram[:-1, :-1] / size / size[:, None]
+    return np.asarray(np.linalg.lstsq(scaled, gram[:-1, -1] / size, rcond=1e-14)[0] / size)
+
+
+def is_settled(problem: Problem, gram: np.ndarray, along: np.ndarray) -> bool:
+    """The check of the end point: no step would make the square sum smaller by what counts."""
+    return bool(_promise(gram) <= CHECK * sample_variance(problem, gram, along) + problem.rounding)
+
+
+def sample_variance(problem: Problem, gram: np.ndarray, along: np.ndarray) -> float:
+    return float(gram[-1, -1]) / max(problem.count - along.shape[1], 1)

@@ -1,0 +1,159 @@
+"""Few pseudo-pixels that stand for all: what a fit can do before it touches every pixel again.
+
+All return `Samples` that any solver descends on as on the real ones; the exact pass
+(`_gram`) then ends the fit, so that neither has to be exact.
+
+`moments`: where the model is linear in its columns `[1 lit dark surface]`, plain least squares asks
+of the pixels no more than the sums of products of columns and light. A factor of that matrix, read
+as rows, is at most nine pseudo-pixels with the same square sum for every look.
+
+`bins`: where the model is a function of the pair (lit, dark), pixels that agree in it tell their
+number, their mean and their sum of squares. A grid over the pair takes the middle for all of a bin,
+which is second order in its width.
+
+`thinned`: every k-th pixel, for robust losses and fitted surfaces, which know no such pairs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._compile import program
+from ..photo._pixels import Columns
+from ._gram import tile_columns, weighted_squares
+from ._samples import Samples, tile_at, to_samples
+
+BINS = 256
+"""Bins along each of lit and dark: parameters within 1e-5 of the exact ones on real pictures."""
+
+THIN = 2**15
+"""Pixels of a thinned picture: parameters within a few standard errors of theirs, √(all / THIN)."""
+
+_ROWS = 16
+"""Pixels of a tile of pseudo-pixels: nine moments, padded."""
+
+
+def moments(samples: Samples) -> Samples:
+    """Pseudo-pixels of each photo; clipped samples are taken as measured."""
+    photos = len(np.asarray(samples.color))
+    names = ["one", "lit", *(["dark"] if samples.dark is not None else [])]
+    surface = samples.surface is not None
+    size = len(names) + 3 * surface + 3
+    sums = np.asarray(_products(samples, photos, size))
+    rows = np.stack([_factor(matrix) for matrix in sums])  # [photo, row, column]
+    padded = np.zeros((photos, _ROWS, size))
+    padded[:, :size] = rows
+    column = {name: padded[..., k] for k, name in enumerate(names)}
+    behind = padded[..., len(names) : len(names) + 3].swapaxes(1, 2) if surface else None
+    return Samples(
+        lit=column["lit"],
+        dark=column.get("dark"),
+        light=padded[..., -3:].swapaxes(1, 2),
+        surface=behind,
+        clipped=None,
+        one=column["one"],
+        weight=None,
+        count=np.full(photos, size, np.int32),
+        photo=np.arange(photos, dtype=np.int32),
+        used=np.asarray(photos, np.int32),
+        color=samples.color,
+        mix=samples.mix,
+    )
+
+
+def bins(columns: Sequence[Columns]) -> Samples:
+    """Means over bins of (lit, dark), photo by photo, weighted by their pixels.
+
+    Clipped samples of one kind share their bound, so pixels in which the same channels are clipped
+    have bins of their own. The columns have no surface. The squares about the means are one more
+    pseudo-pixel, in which no look shows.
+    """
+    binned, weights, ones = zip(*(_bin(c) for c in columns), strict=True)
+    return to_samples(binned, weights=weights, ones=ones)
+
+
+def thinned(columns: Sequence[Columns]) -> Samples:
+    """Every k-th pixel of each photo, counting k times; `THIN` pixels or a little more in all."""
+    step = max(sum(len(c.lit) for c in columns) // THIN, 1)
+
+    def part(values: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None else values[::step]
+
+    few = [
+        replace(
+            c,
+            index=c.index[::step],
+            lit=c.lit[::step],
+            dark=part(c.dark),
+            light=c.light[::step],
+            surface=part(c.surface),
+            clipped=part(c.clipped),
+        )
+        for c in columns
+    ]
+    return to_samples(few, weights=[np.full(len(c.lit), float(step)) for c in few])
+
+
+def _bin(
+    columns: Columns,
+) -> tuple[Columns, Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
+    """Pseudo-pixels, how many pixels each stands for, and the factor on its levels."""
+    number = _bin_numbers(columns.lit)
+    if columns.dark is not None:
+        number = number * BINS + _bin_numbers(columns.dark)
+    if columns.clipped is not None:
+        for k in range(3):
+            number = number * 3 + (columns.clipped[:, k] + 1)
+    counts = np.bincount(number)
+    filled = np.flatnonzero(counts)
+    weight = counts[filled].astype(np.float64)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.bincount(number, values)[filled] / weight
+
+    light = np.stack([mean(columns.light[:, k]) for k in range(3)], axis=-1)
+    squares = np.einsum("nk,nk->k", columns.light, columns.light, dtype=np.float64)
+    clipped = None
+    if columns.clipped is not None:
+        kind = filled[:, None] // np.array([9, 3, 1]) % 3 - 1
+        clipped = np.append(kind, np.zeros((1, 3)), axis=0).astype(np.int8)
+    within = np.sqrt(np.maximum(squares - weight @ light**2, 0))
+    means = replace(
+        columns,
+        index=np.append(filled, 0),
+        lit=np.append(mean(columns.lit), 0),
+        dark=None if columns.dark is None else np.append(mean(columns.dark), 0),
+        light=np.append(light, within[None], axis=0),
+        clipped=clipped,
+    )
+    return means, np.append(weight, 1), np.append(np.ones_like(weight), 0)
+
+
+def _bin_numbers(widths: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    low, high = float(widths.min()), float(widths.max())
+    if high <= low:
+        return np.zeros(len(widths), dtype=np.intp)
+    return np.minimum((widths - low) * (BINS / (high - low)), BINS - 1).astype(np.intp)
+
+
+@program
+def _products(samples: Samples, photos: int, size: int) -> Float[jax.Array, "photos c c"]:
+    def add(index: jax.Array, total: jax.Array) -> jax.Array:
+        tile = tile_at(samples, index)
+        rows = jnp.concatenate([tile_columns(samples, tile), tile.light])
+        return total.at[tile.photo].add(weighted_squares(samples, tile, rows))
+
+    zero = jnp.zeros((photos, size, size), samples.lit.dtype)
+    return jax.lax.fori_loop(0, samples.used, add, zero)
+
+
+def _factor(matrix: Float[np.ndarray, "c c"]) -> Float[np.ndarray, "c c"]:
+    """Rows R with RᵀR = matrix, by eigenvalues of the matrix with a unit diagonal."""
+    size = np.sqrt(np.diag(matrix))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(matrix / size / size[:, None])
+    return np.asarray(np.sqrt(np.maximum(values, 0))[:, None] * vectors.T * size)

@@ -1,0 +1,226 @@
+"""Samples as the solver sees them: used pixels of all photos, in tiles of one size."""
+
+import contextlib
+import mmap
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from model_jax._shapes import AnyArray
+
+from .._compile import float64
+from ..photo._pixels import Columns
+
+TILE = 3072
+"""Pixels of a tile: its slopes by 8 parameters are 600 kB, which stays in a core's second cache."""
+
+_CAPACITY = 8
+"""Samples are stored with room for a power of this many times their least number of tiles, so that
+photos of other sizes find a compiled program; loops run over the tiles in use only."""
+
+
+class Samples(eqx.Module):
+    """The used pixels of all photos; what no pixel has is None. T tiles of n pixels each."""
+
+    lit: Float[AnyArray, "T n"]
+    """Width of lit air in the first photo's `width_unit`s."""
+    dark: Float[AnyArray, "T n"] | None
+    light: Float[AnyArray, "T 3 n"]
+    """What the photo recorded, in its own precision; for a clipped sample the bound it tells."""
+    surface: Float[AnyArray, "T 3 n"] | None
+    """Light behind the air."""
+    clipped: Int[AnyArray, "T 3 n"] | None
+    """1: at least this bright, -1: at most, 0: measured."""
+    one: Float[AnyArray, "T n"] | None
+    """Factor on levels, of pseudo-pixels; None is 1."""
+    weight: Float[AnyArray, "T n"] | None
+    """Pixels that a pixel stands for; None is 1."""
+    count: Int[AnyArray, " T"]
+    """Pixels of each tile, the rest is padding."""
+    photo: Int[AnyArray, " T"]
+    """Which photo each tile is of."""
+    used: Int[AnyArray, ""]
+    """Tiles in use."""
+    color: Float[AnyArray, "photos 3"]
+    """Colour of the air, a scene's own."""
+    mix: Float[AnyArray, "photos 3 3"] | None = None
+    """What each channel recorded of red, green and blue; a channel that is a copy of another has a
+    row of 0, light 0 and no surface, so that it counts for nothing. None where all are their own.
+    Surfaces are mixed already."""
+
+
+class Tile(eqx.Module):
+    """One tile of `Samples`."""
+
+    lit: Float[jax.Array, " n"]
+    dark: Float[jax.Array, " n"] | None
+    light: Float[jax.Array, "3 n"]
+    surface: Float[jax.Array, "3 n"] | None
+    clipped: Int[jax.Array, "3 n"] | None
+    one: Float[jax.Array, " n"] | None
+    weight: Float[jax.Array, " n"]
+    """0 for padding."""
+    photo: Int[jax.Array, ""]
+    color: Float[jax.Array, "3"]
+    mix: Float[jax.Array, "3 3"] | None
+
+
+def tile_at(samples: Samples, index: Int[AnyArray, ""]) -> Tile:
+    """The tile of an index."""
+
+    def part(array: AnyArray | None) -> Any:
+        return None if array is None else array[index]
+
+    inside = jnp.arange(samples.lit.shape[1], dtype=jnp.int32) < samples.count[index]
+    weight = part(samples.weight)
+    photo = jnp.asarray(samples.photo)[index]
+    return Tile(
+        lit=part(samples.lit),
+        dark=part(samples.dark),
+        light=jnp.asarray(samples.light)[index].astype(samples.lit.dtype),
+        surface=part(samples.surface),
+        clipped=part(samples.clipped),
+        one=part(samples.one),
+        weight=jnp.where(inside, 1.0 if weight is None else weight, 0.0).astype(samples.lit.dtype),
+        photo=photo,
+        color=jnp.asarray(samples.color)[photo],
+        mix=None if samples.mix is None else jnp.asarray(samples.mix)[photo],
+    )
+
+
+def capacity(tiles: int, least: int) -> int:
+    """Room for a number of tiles."""
+    room = least
+    while room < tiles:
+        room *= _CAPACITY
+    return room
+
+
+ROOM = 1024
+"""Least room, in tiles: 3 megapixels of air. Where nothing is written it takes no memory on a
+CPU."""
+FEW_ROOM = 64
+
+
+def to_samples(
+    columns: Sequence[Columns],
+    tile: int = TILE,
+    weights: Sequence[Float[np.ndarray, " _"]] | None = None,
+    ones: Sequence[Float[np.ndarray, " _"]] | None = None,
+) -> Samples:
+    """Tiles of all photos' columns; a part that any photo has, all have.
+
+    With weights, of pseudo-pixels: they are fewer, and so is the room for them; `ones` are their
+    factors on levels.
+    """
+    starts = _first_tiles(columns, tile)
+    room = capacity(int(starts[-1]), ROOM if weights is None else FEW_ROOM)
+
+    def fill(parts: list[np.ndarray | None]) -> Any:
+        return _fill(parts, starts, room, tile)
+
+    count = np.zeros(room, np.int32)
+    photo = np.zeros(room, np.int32)
+    for number, (c, (start, end)) in enumerate(zip(columns, pairwise(starts), strict=True)):
+        count[start:end] = np.minimum(tile, len(c.lit) - tile * np.arange(end - start))
+        photo[start:end] = number
+    return Samples(
+        lit=fill([c.lit for c in columns]),
+        dark=fill([c.dark for c in columns]),
+        light=fill([c.light for c in columns]),
+        surface=fill([c.surface for c in columns]),
+        clipped=fill([c.clipped for c in columns]),
+        one=None if ones is None else fill(list(ones)),
+        weight=None if weights is None else fill(list(weights)),
+        count=count,
+        photo=photo,
+        used=np.asarray(starts[-1], np.int32),
+        color=np.stack([c.color for c in columns]),
+        mix=_stacked_mix(columns),
+    )
+
+
+def _stacked_mix(columns: Sequence[Columns]) -> Float[np.ndarray, "photos 3 3"] | None:
+    """As `Samples.mix`."""
+    if all(c.mix is None for c in columns):
+        return None
+    rows = np.stack([np.eye(3) if c.mix is None else c.mix for c in columns])
+    for row, c in zip(rows, columns, strict=True):
+        row[c.copies] = 0
+    return rows
+
+
+def relit(samples: Samples, columns: Sequence[Columns]) -> Samples:
+    """Samples on the device, of the same pixels with other light, clipped elsewhere if at all."""
+    room, tile = samples.lit.shape
+    starts = _first_tiles(columns, tile)
+    light = _fill([c.light for c in columns], starts, room, tile)
+    clipped = _fill([c.clipped for c in columns], starts, room, tile)
+    with float64():
+        light, clipped = jax.device_put((light, clipped), may_alias=True)
+    return eqx.tree_at(
+        lambda s: (s.light, s.clipped), samples, (light, clipped), is_leaf=lambda x: x is None
+    )
+
+
+def _first_tiles(columns: Sequence[Columns], tile: int) -> Int[np.ndarray, " _"]:
+    """Where each photo's tiles begin, and where the last one's end."""
+    return np.cumsum([0, *(-(-len(c.lit) // tile) for c in columns)])
+
+
+def _fill(
+    parts: Sequence[np.ndarray | None], starts: Int[np.ndarray, " _"], room: int, tile: int
+) -> Any:
+    """One array of tiles, [room, n] or [room, 3, n]; 0 where a part is None, None if all are."""
+    known = [part for part in parts if part is not None]
+    if not known:
+        return None
+    channels = known[0].ndim == 2
+    whole = _zeros((room, 3, tile) if channels else (room, tile), np.result_type(*known))
+    for part, start in zip(parts, starts, strict=False):
+        if part is None or not len(part):
+            continue
+        full, rest = divmod(len(part), tile)
+        body = part[: full * tile].reshape((full, tile, *part.shape[1:]))
+        whole[start : start + full] = body.swapaxes(1, 2) if channels else body
+        if rest:
+            whole[start + full, ..., :rest] = part[full * tile :].T
+    return whole
+
+
+def share_widths(columns: Sequence[Columns], samples: Samples) -> tuple[Columns, ...]:
+    """The same columns, whose widths are views of the samples' own: large photos have many."""
+    shared = []
+    start, tile = 0, samples.lit.shape[1]
+    for c in columns:
+        part = slice(start, start + len(c.lit))
+        dark = None if c.dark is None else np.asarray(samples.dark).reshape(-1)[part]
+        shared.append(replace(c, lit=np.asarray(samples.lit).reshape(-1)[part], dark=dark))
+        start += -(-len(c.lit) // tile) * tile
+    return tuple(shared)
+
+
+def on_device(samples: Samples) -> Samples:
+    """Samples as JAX arrays, float64; on a CPU without a copy, so leave the NumPy ones alone."""
+    with float64():
+        moved: Samples = jax.device_put(samples, may_alias=True)
+    return moved
+
+
+def _zeros(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+    """Zeros in pages of their own: aligned, so that a CPU's JAX takes them over as they are, and
+    room in which nothing is ever written takes no memory. (NumPy's may come from a heap that has
+    to be written over.)"""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    pages = mmap.mmap(-1, max(size, 1), access=mmap.ACCESS_COPY)
+    if hasattr(mmap, "MADV_HUGEPAGE"):  # a fault for 2 MB, not for each 4 kB: a third of the time
+        with contextlib.suppress(OSError):  # a kernel without them
+            pages.madvise(mmap.MADV_HUGEPAGE)
+    return np.frombuffer(pages, dtype, int(np.prod(shape))).reshape(shape)

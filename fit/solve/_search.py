@@ -1,0 +1,265 @@
+"""From samples to a checked end point: start, descend, finish exactly, hold what is not told.
+
+    starts ──> descend on few pseudo-pixels, or on all ──> exact steps ──> what is told?
+    (_start)   (_reduce, _descend)                         (_polish)       within bounds?
+
+What the pixels do not tell is held at its start value, what ran against its bounds is held there;
+each time the rest is fitted again. The end point is judged here, not by the solver: by the square
+sum that one more Gauss–Newton step promises, at a bound by the sign of the slope, and by a second
+opinion (`_opinion`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._compile import float64
+from ._descend import Descent, Solver, descend, make_solver, square_sums
+from ._flat import Flat, find_flat
+from ._opinion import second_opinion
+from ._parameters import Entries, Parameter, chart, directions, is_outside, settle_tint
+from ._polish import CHECK, finish, is_settled, put_inside, sample_variance
+from ._problem import Problem
+from ._samples import Samples
+from ._start import starts
+
+_NEAR = 1e-3
+"""Distance from a bound, in typical sizes, from which it is tried there."""
+_OPINIONS = 2
+"""How often a second descent that ends lower becomes the first."""
+
+
+@dataclass(frozen=True)
+class End:
+    """Where the search ended."""
+
+    vector: Entries
+    free: tuple[Parameter, ...]
+    """Still free: neither at a bound nor held."""
+    at_bound: tuple[Parameter, ...]
+    flat: tuple[Flat, ...]
+    """What the pixels do not tell, held at the start."""
+    finite: bool
+    settled: bool
+    """The checks of the end point hold."""
+    gram: Float[np.ndarray, "q q"]
+    """Of the exact pass at the end, along `directions(free)`."""
+    history: tuple[float, ...]
+    """Square sums at the accepted steps of the first descent."""
+    steps: int
+    second: str
+    """How the second opinion came out, in words."""
+
+    @property
+    def square_sum(self) -> float:
+        return float(self.gram[-1, -1])
+
+
+def search(
+    problem: Problem,
+    start: Entries,
+    asked: Sequence[Parameter],
+    solver: str,
+    max_steps: int,
+    *,
+    seeds: list[Entries] | None = None,
+    last: bool = True,
+) -> End:
+    """The best vector within bounds, and what of it the pixels tell.
+
+    Args:
+        start: what is held stays at these values.
+        seeds: where to start from, instead of looking for it.
+        last: get a second opinion.
+    """
+    method = make_solver(solver)
+    parameters = problem.parameters
+    free, held = list(asked), settle_tint(start, asked, parameters)
+    flat: list[Flat] = []
+    at_bound: list[Parameter] = []
+    inside: set[str] = set()  # tried at its bound, and better off it
+    first: Descent | None = None
+    candidates = seeds
+    opinions = 0
+    while True:
+        descent = _descend(problem, held, free, method, max_steps, candidates)
+        first = first or descent
+        if not descent.finite:
+            return _diverged(held, free, at_bound, flat, first)
+        vector, gram = finish(problem, descent.entries, free)
+        along, moved = directions(free, parameters)
+        if not np.isfinite(gram).all():
+            return _diverged(vector, free, at_bound, flat, first)
+        found = find_flat(problem, vector, free, gram, along, moved)
+        if found is not None:
+            flat.append(found)
+            gone = {p.name for p in found.held}
+            free = [p for p in free if p.name not in gone]
+            held = settle_tint(_restored(vector, start, found.held, parameters), free, parameters)
+            candidates = None
+            continue
+        margin = 1e-2 * CHECK * sample_variance(problem, gram, along) + problem.rounding
+        near = [p for p in free if p.name not in inside and _is_near_bound(p, vector)]
+        if near:
+            beyond = is_outside(vector, near)
+            rest = [p for p in free if p not in near]
+            tried = settle_tint(_at_bounds(vector, near, parameters), rest, parameters)
+            tried = _best_from(problem, tried, rest, method, max_steps)
+            if beyond or problem.square_sum(tried) <= float(gram[-1, -1]) + margin:
+                at_bound, free = at_bound + near, rest
+                held, candidates = tried, [tried]
+            else:
+                inside |= {p.name for p in near}
+                held, candidates = vector, [vector]
+            continue
+        loose = _loose(problem, vector, free, at_bound, margin)
+        if loose is not None and loose.name not in inside:
+            inside.add(loose.name)
+            at_bound.remove(loose)
+            free.append(loose)
+            held, candidates = vector, [vector]
+            continue
+        second = ""
+        if last and along.shape[1]:
+            square_sum = float(gram[-1, -1])
+            second, other = second_opinion(problem, vector, square_sum, free, solver, start, margin)
+            if second == "lower" and opinions < _OPINIONS:
+                opinions += 1
+                held, candidates = other, [other]
+                continue
+        break
+    return End(
+        vector=vector,
+        free=tuple(free),
+        at_bound=tuple(at_bound),
+        flat=tuple(flat),
+        finite=True,
+        settled=is_settled(problem, gram, along) and second != "lower",
+        gram=gram,
+        history=first.history,
+        steps=first.steps,
+        second=second,
+    )
+
+
+def _descend(
+    problem: Problem,
+    held: Entries,
+    free: Sequence[Parameter],
+    solver: Solver,
+    max_steps: int,
+    candidates: list[Entries] | None,
+) -> Descent:
+    """The solver's descent, on as few pseudo-pixels as serve."""
+    if not directions(free, problem.parameters)[0].shape[1]:
+        return Descent(held, True, 0, ())
+    with float64():
+        samples = problem.few
+        if candidates is None:
+            candidates = starts(samples, held, free, problem.parameters)
+        start = _lowest(candidates, samples, free, problem)
+    return descend(
+        chart(start, free, problem.parameters), samples, problem.model, solver, max_steps
+    )
+
+
+def _lowest(
+    candidates: Sequence[Entries],
+    samples: Samples,
+    free: Sequence[Parameter],
+    problem: Problem,
+) -> Entries:
+    """The start with the least square sum, taken inside its bounds as the descent will."""
+    if len(candidates) == 1:
+        return candidates[0]
+    inside = np.stack([put_inside(vector, free, problem.parameters) for vector in candidates])
+    costs = np.asarray(square_sums(jnp.asarray(inside), samples, problem.model))
+    return candidates[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
+
+
+def _is_near_bound(p: Parameter, vector: Entries) -> bool:
+    """So near a bound, or beyond it, that being on it has to be tried."""
+    value = float(p.of(vector))
+    room = _NEAR * max(abs(p.value), p.scale)
+    return value - p.lower <= room or p.upper - value <= room
+
+
+def _best_from(
+    problem: Problem,
+    vector: Entries,
+    free: Sequence[Parameter],
+    solver: Solver,
+    max_steps: int,
+) -> Entries:
+    descent = _descend(problem, vector, free, solver, max_steps, [vector])
+    return finish(problem, descent.entries, free)[0] if descent.finite else vector
+
+
+def _loose(
+    problem: Problem,
+    vector: Entries,
+    free: Sequence[Parameter],
+    at_bound: Sequence[Parameter],
+    margin: float,
+) -> Parameter | None:
+    """A parameter at a bound from which the square sum falls by more than the margin."""
+    for p in at_bound:
+        along = np.zeros((len(vector), 1))
+        along[list(p.entries)] = 1.0
+        if p.family == "tint":  # the other tints make room
+            others = [q.entries[0] for q in free if q.family == "tint"]
+            along[others, 0] -= vector[others] / (vector[others].sum() or 1.0)
+        curved, slope = problem.gram(vector, along)[0]
+        inward = slope if p.of(vector) <= p.lower else -slope
+        if inward < 0 and slope**2 > margin * curved:
+            return p
+    return None
+
+
+def _at_bounds(
+    vector: Entries, stuck: Sequence[Parameter], parameters: Sequence[Parameter]
+) -> Entries:
+    held = vector.copy()
+    for p in stuck:
+        low = abs(float(p.of(vector)) - p.lower) <= abs(p.upper - float(p.of(vector)))
+        for q in parameters:
+            if q is p or q.tied_to == p.name:
+                held[list(q.entries)] = p.lower if low else p.upper
+    return held
+
+
+def _restored(
+    vector: Entries, start: Entries, held: Sequence[Parameter], parameters: Sequence[Parameter]
+) -> Entries:
+    """The vector with what is not told back at its start."""
+    names = {p.name for p in held}
+    back = vector.copy()
+    for p in parameters:
+        if p.name in names or p.tied_to in names:
+            back[list(p.entries)] = start[list(p.entries)]
+    return back
+
+
+def _diverged(
+    held: Entries,
+    free: Sequence[Parameter],
+    at_bound: Sequence[Parameter],
+    flat: Sequence[Flat],
+    first: Descent,
+) -> End:
+    nothing = np.full((1, 1), np.nan)
+    return End(
+        held,
+        tuple(free),
+        tuple(at_bound),
+        tuple(flat),
+        False,
+        False,
+        nothing,
+        first.history,
+        first.steps,
+        "",
+    )

@@ -1,0 +1,30 @@
+"""What was asked of a fit, once it is checked."""
+
+from dataclasses import dataclass
+
+from model_jax import Layers, Look
+
+from .._choices import JpegHandling, LossName, Sampling
+from ..photo._pixels import PhotoLike, size_of
+from ._parameters import Parameter
+
+
+@dataclass(frozen=True)
+class Task:
+    """What was asked."""
+
+    photos: tuple[PhotoLike, ...]
+    layers: tuple[Layers, ...]
+    look: Look
+    parameters: tuple[Parameter, ...]
+    loss: LossName
+    jpeg: JpegHandling
+    sampling: Sampling
+    solver: str
+    max_steps: int
+    named: bool
+    """The user named what is free."""
+
+    @property
+    def sizes(self) -> list[tuple[int, int]]:
+        return [size_of(photo) for photo in self.photos]

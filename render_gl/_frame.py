@@ -1,0 +1,41 @@
+"""What a drawing leaves, whatever drew it, and how shaders get their uniforms."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+if TYPE_CHECKING:
+    import moderngl
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What the passes left, as images with row 0 on top."""
+
+    air: Float[np.ndarray, "h w 4"]
+    """The combine shader's output."""
+    front: Float[np.ndarray, "h w"]
+    """Its own depth."""
+    back: Float[np.ndarray, "h w"]
+    """What it read behind the air; equal to `front` without air."""
+    shadows: Float[np.ndarray, "n 2 h w"]
+    """What it read of each shadow that was drawn: front and back."""
+    surface: Float[np.ndarray, "h w 3"] | None
+    """Light of the planet; None where it has no albedo."""
+    planet: Float[np.ndarray, "h w"]
+    """1 where the planet was drawn."""
+
+
+def assign_uniforms(shader: "moderngl.Program", values: dict[str, Any]) -> None:
+    """Give a program its uniforms by name; one that `values` lacks is a `KeyError`."""
+    import moderngl
+
+    for name in shader:
+        member = shader[name]
+        if isinstance(member, moderngl.Uniform):
+            value = values[name]
+            # moderngl takes an array of one element for that element.
+            single = isinstance(value, list) and len(value) == 1
+            member.value = value[0] if single else value

@@ -1,0 +1,370 @@
+"""The paper's five passes: scene → depth textures, surface and combined air.
+
+    1 back faces of each shadow cone   → ShadowBack        depth texture
+    2 front faces of each shadow cone  → ShadowFront       depth texture
+    3 the planet, with relief          → surface           colour, and the depth texture of pass 4
+    4 back faces of the shell of air   → PlAtDepth         depth texture, tested against the planet
+    5 front faces of the shell         → air, and the depths that the shader saw
+
+Depths come from one of two sources. "raster": a coarse mesh around each body bounds the pixels, and
+the shader finds where their rays meet sphere or cone, so that layers are as exact as float32. What
+is drawn is the mesh's far side, which lies before the camera wherever the camera is. "mesh": the
+paper's own, the depths of finely tessellated faces. Ground with relief is a mesh in both.
+
+How depths are stored is the format's business (`_depth_format`). Passes 1 and 2 are drawn for the
+shadows in which there is air in view; occluders are drawn with the planet, which they may hide. The
+depths of all shadows share one texture, one above the other, so that there may be any number of
+them. What the combine shader read is written out by shaders, so that JAX recombines the very same
+numbers.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from model_jax import InputError, Look, Scene, shadows_in_view, view_of
+from model_jax._view import Aim, ShadowCone
+
+from ._choices import Source
+from ._depth_format import Storage
+from ._frame import Frame, assign_uniforms
+from ._maps import upload_maps
+from ._mesh import Mesh, shadow_mesh, sphere_mesh
+from ._shaders import program
+from ._uniforms import aim_uniforms, cone_uniforms, defines_of, plane_codes, uniforms_of
+
+if TYPE_CHECKING:
+    import moderngl
+
+DEPTH_CLAMP = 0x864F
+"""GL_DEPTH_CLAMP: what lies nearer than the near plane gets its depth instead of a hole (the
+paper's extended pixel shader, its Fig. 11)."""
+
+BAND = 2**20
+"""Pixels drawn at once. Their textures are 80 bytes a pixel: rows of large pictures go in bands, so
+that beside the images themselves there is never more of them than of a small picture."""
+
+COVER_TRIANGLES = 5120
+"""Of the mesh that bounds a sphere's pixels: it is 0.12 % wider than the sphere."""
+
+COVER_PIXELS = 1 / 16
+"""More that it is wider: OpenGL snaps vertices to 1/16 pixel at worst (4 sub-pixel bits)."""
+
+
+class Passes:
+    """The textures and the state of one drawing, and its passes in order."""
+
+    def __init__(
+        self,
+        context: "moderngl.Context",
+        scene: Scene,
+        look: Look,
+        storage: Storage,
+        source: Source,
+    ) -> None:
+        self.context: Any = context  # its stub mistypes blend_equation
+        self.scene, self.storage = scene, storage
+        self.size = (scene.camera.width, 0)
+        """Of a band."""
+        self.bottom = 0
+        """Rows of the picture below it."""
+        self.exact = source == "raster"
+        self.view = view_of(scene)
+        cones = zip(self.view.cones, shadows_in_view(scene), strict=True)
+        self.cones = [cone for cone, seen in cones if seen]
+        """Shadows with air in view."""
+        self.uniforms = uniforms_of(scene, look, storage.encoding)
+        self.near, self.empty = plane_codes(scene, storage.encoding)
+        self.defines = defines_of(scene, storage, len(self.cones))
+        self.fine = scene.planet.relief is not None or not self.exact
+        """Whether the ground's mesh is its shape."""
+        mesh = sphere_mesh(scene.planet.triangles if self.fine else COVER_TRIANGLES)
+        self.sphere, self.inner_radius = self._upload(mesh), mesh.inner_radius
+        cover = sphere_mesh(COVER_TRIANGLES)
+        self.cover, self.cover_radius = self._upload(cover), cover.inner_radius
+        self.shell = float(self.view.shell)
+        self.position = np.asarray(scene.camera.position) / float(scene.planet.radius)
+
+    @property
+    def colored(self) -> bool:
+        """Whether depths go to colour attachments instead of the depth buffer."""
+        return self.storage.texture is not None
+
+    def run(self) -> Frame:
+        """All passes, band by band, and what they left."""
+        width, height = self.scene.camera.width, self.scene.camera.height
+        rows = self._band_rows()
+        size = (height, width)
+        air = np.empty((*size, 4), np.float32)
+        front, back = np.empty(size, np.float32), np.empty(size, np.float32)
+        shadows = np.empty((len(self.cones), 2, *size), np.float32)
+        lit = self.scene.planet.albedo is not None
+        surface = np.empty((*size, 3), np.float32) if lit else None
+        planet = np.empty(size, np.float32)
+        maps = upload_maps(self.context, self.scene)
+        for self.bottom in range(0, height, rows):
+            self.size = (width, min(rows, height - self.bottom))
+            band = slice(height - self.bottom - self.size[1], height - self.bottom)
+            atlas = self.shadow() if self.cones else None
+            ground, behind = self.planet(maps)
+            self.shell_back(behind)
+            air[band], front[band], back[band] = map(_read, self.combine(behind, atlas))
+            if atlas is not None:
+                # Volume by volume from below, each with its rows from below.
+                seen = self._seen(atlas).reshape(-1, 2, self.size[1], width)
+                shadows[:, :, band] = seen[:, :, ::-1]
+            drawn = _read(ground)
+            if surface is not None:
+                surface[band] = drawn[..., :3]
+            planet[band] = drawn[..., 3]
+            self.context.gc()
+        if not self.exact:
+            # What the combine shader does with a back that has no front (see there).
+            nearer = np.maximum if self.storage.encoding == "reversed" else np.minimum
+            shadows[:, 0] = nearer(shadows[:, 0], shadows[:, 1])
+        return Frame(air, front, back, shadows, surface, planet)
+
+    def _band_rows(self) -> int:
+        """Rows of a band: even, for derivatives are taken in squares of pixels."""
+        rows = max(BAND // self.scene.camera.width // 64, 1) * 64
+        if self.cones:
+            limit = int(self.context.info["GL_MAX_TEXTURE_SIZE"])
+            rows = min(rows, limit // (2 * len(self.cones)) // 2 * 2)
+            if rows == 0:
+                raise InputError(
+                    f"occluder: {len(self.cones)} shadows are in view, and this driver's textures "
+                    f"of {limit} rows hold {limit // 4}; remove some"
+                )
+        return rows
+
+    def shadow(self) -> Any:
+        """Passes 1 and 2. A cone is convex: each ray enters and leaves it once at most."""
+        width, rows = self.size
+        atlas = self._depth_texture(rows * 2 * len(self.cones))
+        target = self._depth_only(atlas)
+        for k, cone in enumerate(self.cones):
+            for end in (0, 1):
+                tile = (2 * k + end) * rows
+                target.viewport = (0, tile - self.bottom, width, self.scene.camera.height)
+                target.scissor = (0, tile, width, rows)
+                target.use()
+                if self.exact:
+                    # Air is within the shell only, and so the shell bounds each shadow's pixels.
+                    given: dict[str, Any] = cone_uniforms(cone) | {"leaving": end == 1}
+                    given |= {"first_row": self.bottom - tile}
+                    self._bounded(
+                        "depth.frag", self.view.aim, self.shell, defines={"CONE": 1}, **given
+                    )
+                else:
+                    self._cone_faces(target, cone, end)
+        target.scissor = None
+        return atlas
+
+    def _cone_faces(self, target: Any, cone: ShadowCone, end: int) -> None:
+        """The mesh's front or back faces. A camera inside sees no front face; its shadow begins at
+        the near plane."""
+        mesh, inside = shadow_mesh(self.scene, cone)
+        if end == 0 and inside:
+            self._clear(target, self.near)
+            return
+        self._state("front" if end else "back", test=not self.colored)
+        self._volume(self._upload(mesh), "depth.frag")
+
+    def planet(self, maps: dict[str, Any]) -> tuple[Any, Any]:
+        """Pass 3: surface colour, and the depth texture that pass 4 goes on with."""
+        surface = self.context.texture(self.size, 4, dtype="f4")
+        depth = self._depth_texture(self.size[1])
+        if self.colored:
+            target = self._target([surface, depth], self.context.depth_renderbuffer(self.size))
+            self.context.framebuffer([surface], target.depth_attachment).clear(depth=1.0)
+        else:
+            target = self._target([surface], depth)
+            target.clear(depth=1.0)
+        target.use()
+        self._state("back", test=True)
+        units: dict[str, Any] = {}
+        for unit, (name, texture) in enumerate(maps.items()):
+            texture.use(unit)  # combine has bound others since the last band
+            units[name] = unit
+        if self.fine:
+            self._render(self.sphere, program("planet.vert", "planet.frag", self.defines), **units)
+        else:
+            self._bounded("planet.frag", self.view.aim, 1.0, test=True, **units)
+        radius = float(self.scene.planet.radius)
+        basis = np.asarray(self.scene.camera.basis())
+        for body, seen in zip(self.scene.occluders, self.view.occluders, strict=True):
+            center, size = tuple(basis @ np.asarray(body.center) / radius), float(seen.radius)
+            if self.exact:
+                self._bounded(
+                    "body.frag",
+                    seen.aim,
+                    size,
+                    test=True,
+                    origin=center,
+                    center_offset=center[2],
+                )
+            else:
+                self._volume(self.sphere, "body.frag", size, center)
+        return surface, depth
+
+    def shell_back(self, depth: Any) -> None:
+        """Pass 4: the nearer of the planet and the far side of the shell."""
+        import moderngl
+
+        self._depth_only(depth).use()
+        self._state("front", test=not self.colored)
+        if self.colored:
+            self.context.enable(moderngl.BLEND)
+            is_reversed = self.storage.encoding == "reversed"
+            self.context.blend_equation = moderngl.MAX if is_reversed else moderngl.MIN
+        if self.exact:
+            self._bounded("depth.frag", self.view.aim, self.shell, blended=True, leaving=True)
+        else:
+            self._volume(self.sphere, "depth.frag", self.shell)
+        self.context.blend_equation = moderngl.FUNC_ADD
+
+    def combine(self, behind: Any, atlas: Any | None) -> tuple[Any, Any, Any]:
+        """Pass 5: the combine shader over the shell, or the screen for a camera inside its mesh."""
+        air = self.context.texture(self.size, 4, dtype="f4")
+        depths = [self.context.texture(self.size, 1, dtype="f4") for _ in range(2)]
+        self.context.framebuffer([air]).clear()
+        self.context.framebuffer(depths).clear(*[self.empty] * 4)
+        self._target([air, *depths]).use()
+        units: dict[str, Any] = {"planet_atmosphere": 0, "band_rows": self.size[1]}
+        self._bind(behind, 0)
+        if atlas is not None:
+            self._bind(atlas, 1)
+            units["shadow_depths"] = 1
+        self._state("back", test=False)
+        # Inside the mesh, not just the sphere: every ray then has a back face, and no front.
+        if self.exact:
+            self._bounded("combine.frag", self.view.aim, self.shell, **units)
+        elif np.linalg.norm(self.position) <= self.shell * self.inner_radius:
+            self._screen("combine.frag", **units)
+        else:
+            self._volume(self.sphere, "combine.frag", self.shell, **units)
+        return air, *depths
+
+    def _seen(self, atlas: Any) -> Float[np.ndarray, "rows w"]:
+        """What a shader reads in a depth texture, from below."""
+        if self.storage.texture == "f4":
+            return np.frombuffer(atlas.read(), np.float32).reshape(atlas.size[::-1])
+        copied = self.context.texture(atlas.size, 1, dtype="f4")
+        self.context.framebuffer([copied]).use()
+        self._state("back", test=False)
+        self._bind(atlas, 0)
+        self._screen("copy.frag", depths=0)
+        return np.frombuffer(copied.read(), np.float32).reshape(atlas.size[::-1])
+
+    def _depth_texture(self, rows: int) -> Any:
+        """A texture for depths, cleared."""
+        size = (self.size[0], rows)
+        if self.colored:
+            texture = self.context.texture(size, 1, dtype=self.storage.texture)
+        else:
+            texture = self.context.depth_texture(size)
+        self._clear(self._depth_only(texture), self.empty)
+        return texture
+
+    def _clear(self, target: Any, depth: float) -> None:
+        """All of a framebuffer of depths only, or its scissor."""
+        box = target.scissor
+        if self.colored:
+            target.clear(depth, depth, depth, depth, viewport=box)
+        else:
+            target.clear(depth=depth, viewport=box)
+
+    def _depth_only(self, texture: Any) -> Any:
+        """A framebuffer without colour: one that a program leaves unwritten would be undefined."""
+        return self._target([texture]) if self.colored else self._target((), texture)
+
+    def _target(self, colors: Any, depth: Any = None) -> Any:
+        """A framebuffer whose rows are the picture's at this band."""
+        target = self.context.framebuffer(colors, depth)
+        target.viewport = (0, -self.bottom, self.size[0], self.scene.camera.height)
+        return target
+
+    def _state(self, culled: str, test: bool) -> None:
+        import moderngl
+
+        self.context.enable_only(moderngl.CULL_FACE | (moderngl.DEPTH_TEST if test else 0))
+        self.context.enable_direct(DEPTH_CLAMP)
+        self.context.cull_face = culled
+        self.context.depth_func = "<="
+
+    def _bind(self, texture: Any, unit: int) -> None:
+        import moderngl
+
+        if not self.colored:
+            texture.compare_func = ""  # depth textures compare by default; we want the values
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        texture.use(unit)
+
+    def _upload(self, mesh: Mesh) -> tuple[Any, Any]:
+        return (
+            self.context.buffer(mesh.vertices.astype(np.float32).tobytes()),
+            self.context.buffer(mesh.triangles.tobytes()),
+        )
+
+    def _volume(
+        self,
+        geometry: tuple[Any, Any],
+        fragment: str,
+        size: float = 1.0,
+        origin: tuple[float, ...] = (0.0, 0.0, 0.0),
+        **more: Any,
+    ) -> None:
+        shader = program("volume.vert", fragment, self.defines)
+        self._render(geometry, shader, size=size, origin=origin, **more)
+
+    def _bounded(
+        self,
+        fragment: str,
+        aim: Aim,
+        radius: float,
+        *,
+        defines: dict[str, int] | None = None,
+        test: bool | None = None,
+        blended: bool = False,
+        **more: Any,
+    ) -> None:
+        """Run a shader where rays may meet a sphere: on the far side of a mesh around it.
+
+        A camera in or near the mesh gets a larger one, for all of its rays must meet the far side.
+        """
+        if not blended:
+            self._state("front", test=not self.colored if test is None else test)
+        distance = float(np.linalg.norm(aim.center))
+        size = (radius + COVER_PIXELS * self._footprint(distance + radius)) / self.cover_radius
+        if distance < 1.1 * size:
+            size = 1.2 * distance / self.cover_radius + size
+        shader = program("volume.vert", fragment, self.defines | (defines or {}) | {"EXACT": 1})
+        found = aim_uniforms(self.scene.camera, aim, radius) | {"first_row": self.bottom}
+        found |= {"origin": (0.0, 0.0, 0.0), "size": size}
+        self._render(self.cover, shader, **(found | more))
+
+    def _footprint(self, distance: float) -> float:
+        """What a pixel covers at a distance, planet radii; no ray is longer than the diagonal's."""
+        camera = self.scene.camera
+        pixel = float(camera.pixel_size())
+        slope = pixel * np.hypot(camera.width, camera.height) / 2
+        return float(pixel * distance * (1 + slope**2))
+
+    def _screen(self, fragment: str, **more: Any) -> None:
+        shader = program("screen.vert", fragment, self.defines)
+        assign_uniforms(shader, self.uniforms | more)
+        self.context.vertex_array(shader, []).render(vertices=3)
+
+    def _render(self, geometry: tuple[Any, Any], shader: Any, **more: Any) -> None:
+        assign_uniforms(shader, self.uniforms | more)
+        vertices, triangles = geometry
+        content = [(vertices, "3f", "position")]
+        self.context.vertex_array(shader, content, triangles).render()
+
+
+def _read(texture: Any) -> Float[np.ndarray, "h w *c"]:
+    """Texture to array, row 0 on top."""
+    width, height = texture.size
+    shape = (height, width) if texture.components == 1 else (height, width, texture.components)
+    return np.frombuffer(texture.read(), dtype=np.float32).reshape(shape)[::-1]
