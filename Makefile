@@ -21,9 +21,11 @@ test: $(ready) ## Run the tests; options for pytest go into PYTEST_ARGS
 test-full: $(ready) ## Run the tests and the full sweep, compiled as users compile (tests/conftest.py)
 	XLA_FLAGS="$(XLA_FLAGS)" $(bin)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(PYTEST_ARGS)
 
-lint: $(ready) ## Check style and formatting
+lint: $(ready) ## Check style, formatting, lengths and which file imports which
 	$(bin)/ruff check
 	$(bin)/ruff format --check
+	$(bin)/python .ci/lengths.py model_jax render_gl fit
+	$(bin)/lint-imports --no-logo --no-cache
 
 types: $(ready) ## Check types
 	$(bin)/mypy

@@ -41,27 +41,23 @@ def grey_variance(
     return found
 
 
-def rounding_bias(evidence: Evidence, rows: Float[np.ndarray, "t p"]) -> list[float | None]:
+def rounding_bias(evidence: Evidence) -> list[float | None]:
     """Each told parameter's bound on the bias by the photos' rounding to codes."""
     half_steps = _half_steps(evidence.task.photos, evidence.problem.columns)
-    return _shifted(evidence, rows, half_steps)
+    return _shifted(evidence, half_steps)
 
 
 def doubts_of(
     evidence: Evidence,
-    rows: Float[np.ndarray, "t p"],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
     look_for_causes: bool,
 ) -> Doubts:
     """What may be wrong with the told values beside noise."""
     problem = evidence.problem
     return find_doubts(
-        problem.columns,
+        evidence.point,
         evidence.task.layers,
-        problem.model,
-        evidence.end.vector,
-        evidence.along,
-        rows,
+        evidence.rows,
         evidence.spread.hessian,
         residuals,
         [belief_in(r, problem.model.loss) > BELIEVED for r in residuals],
@@ -84,36 +80,25 @@ def _half_steps(
     return found
 
 
-def layer_errors(evidence: Evidence, rows: Float[np.ndarray, "t p"]) -> list[float | None]:
+def layer_errors(evidence: Evidence) -> list[float | None]:
     """How far the layers' own errors can shift each told parameter."""
     problem = evidence.problem
     if all(c.drawn_error is None for c in problem.columns):
-        return [None] * len(rows)
-    slopes = width_slopes_of(problem.columns, problem.samples, problem.model, evidence.end.vector)
+        return [None] * len(evidence.told)
+    slopes = width_slopes_of(problem, evidence.point.vector)
     steps = [
         None if c.drawn_error is None else slope * c.drawn_error[:, None]
         for c, slope in zip(problem.columns, slopes, strict=True)
     ]
-    return _shifted(evidence, rows, steps)
+    return _shifted(evidence, steps)
 
 
-def _shifted(
-    evidence: Evidence, rows: Float[np.ndarray, "t p"], steps: Sequence[np.ndarray | None]
-) -> list[float | None]:
+def _shifted(evidence: Evidence, steps: Sequence[np.ndarray | None]) -> list[float | None]:
     """How far each told parameter moves if all samples are off by so much, all conspiring."""
-    problem = evidence.problem
+    rows = evidence.rows
     if not len(rows) or all(step is None for step in steps):
         return [None] * len(rows)
-    bound = rounding_bound(
-        problem.columns,
-        steps,
-        problem.samples,
-        problem.model,
-        evidence.end.vector,
-        evidence.along,
-        rows,
-        evidence.spread.hessian,
-    )
+    bound = rounding_bound(evidence.point, steps, rows, evidence.spread.hessian)
     return [float(b) for b in bound]
 
 
@@ -129,17 +114,15 @@ def undo_jpeg(
         return "a grey JPEG, or one of an uncommon kind, cannot be compressed again alike"
     if any(is_coarse(p.jpeg) for p in lossy if p.jpeg is not None):
         return "the file is compressed so much that it does not show its noise"
-    if not end.settled or not evidence.along.shape[1]:
+    if not end.settled or not evidence.point.along.shape[1]:
         return "nothing was told that it could be taken off"
     clipped = 3 * sum(len(c.lit) for c in problem.columns) - problem.count
     if clipped > MOST_CLIPPED * problem.count:
         return f"more than {MOST_CLIPPED:.0%} of the samples are clipped"
     return undo_compression(
+        evidence.point,
         task.photos,
         task.layers,
-        problem,
-        end.vector,
-        evidence.along,
         end.free,
         evidence.spread.covariance,
         residuals,

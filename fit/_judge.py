@@ -1,9 +1,10 @@
 """From an end point to a result: values, errors, verdict and message."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from ._estimates import (
     doubts_of,
@@ -14,13 +15,14 @@ from ._estimates import (
     rounding_bias,
     undo_jpeg,
 )
-from ._result import Errors, FitResult, LeftOut, PhotoResult
+from ._result import Errors, Estimate, FitResult, LeftOut, Misfit, PhotoResult
 from ._rounds import ROUNDING, noise_of
 from ._verdict import VERDICTS, Verdict
-from .diagnose._evidence import Evidence, residuals_at
-from .diagnose._misfit import Doubts
+from .diagnose._compression import Undone
+from .diagnose._evidence import Evidence
 from .diagnose._remarks import file_remarks, percent, warnings_of
-from .diagnose._spread import Spread, reach_95, spread_of
+from .diagnose._residuals import residuals_of
+from .diagnose._spread import reach_95, spread_of
 from .photo._pixels import Columns, Pixels
 from .solve._parameters import (
     Entries,
@@ -31,7 +33,7 @@ from .solve._parameters import (
     to_look,
     to_responses,
 )
-from .solve._problem import Problem
+from .solve._problem import Point, Problem
 from .solve._search import End
 from .solve._task import Task
 
@@ -53,107 +55,140 @@ def judge(
     left_out: list[LeftOut],
 ) -> FitResult:
     """Errors and verdict at the end point."""
-    along, _ = directions(end.free, task.parameters)
-    told = tuple(_told(task, end)) if end.finite else ()
-    spread: Spread | None = None
-    covariance = np.zeros((0, 0))
-    bias: list[float | None] = [None] * len(told)
-    drawn: list[float | None] = [None] * len(told)
-    reach = np.zeros(len(told))
-    evidence = None
-    noise = np.nan
-    vector, undone = end.vector, None
-    doubts = Doubts((), np.zeros((len(told), len(told))))
-    residuals = residuals_at(problem, end)
-    if end.finite:
-        noise = noise_of(task, problem, end, residuals)
-        spread = spread_of(
-            problem.columns,
-            task.sizes,
-            problem.samples,
-            problem.model,
-            end.vector,
-            along,
-            residuals,
-            noise,
-            ROUNDING * problem.light_max,
-        )
-        evidence = Evidence(task, problem, end, along, told, spread)
-        rows = evidence.to_told()
-        covariance = rows @ spread.covariance @ rows.T
-        reach = reach_95(spread.freedom(rows))
-        bias, drawn = rounding_bias(evidence, rows), layer_errors(evidence, rows)
-        undone = undo_jpeg(evidence, residuals, noise) if task.jpeg == "undo" else None
-        if isinstance(undone, str):
-            left_out = [*left_out, LeftOut("what JPEG did", undone)]
-            undone = None
-        if undone is not None:
-            vector = end.vector + along @ undone.shift
-            covariance = rows @ undone.covariance @ rows.T
-            reach = reach_95(np.full(len(told), undone.freedom))
-        # What compression leaves over is no other cause's.
-        doubts = doubts_of(evidence, rows, residuals, look_for_causes=undone is None)
-    covariance = covariance + doubts.covariance
-    if problem.samples.mix is not None:
-        covariance = covariance + np.diag(grey_variance(problem.columns, told, vector))
-    stderr = np.sqrt(np.maximum(np.diag(covariance), 0))
-    # The told tints add up to 3; a length of zero is a parameter that nothing can move.
-    lengths = np.where(stderr > 0, stderr, 1.0)
-    correlation = np.clip(covariance / np.outer(lengths, lengths), -1, 1)
-    np.fill_diagonal(correlation, 1.0)
-    names = [p.name for p in told]
-    held = {p.name for flat in end.flat for p in flat.held}
-    estimates = {}
-    for p in task.parameters:
-        k = names.index(p.name) if p.name in names else None
-        estimates[p.name] = estimate(
-            p,
-            float(p.of(vector)),
-            role=_role(p, names, end, held),
-            stderr=None if k is None else float(stderr[k]),
-            reach=None if k is None else float(reach[k] * stderr[k]),
-            bias=None if k is None else bias[k],
-            drawn=None if k is None else drawn[k],
-            undone=None if k is None or undone is None else float(p.of(vector - end.vector)),
-        )
-    responses = to_responses(vector)
-    photos = tuple(photo_results(task, problem, end, responses, pixels, residuals))
-    left_out = left_out + [
+    residuals = residuals_of(problem, end.vector)
+    worth = _worth(task, problem, end, residuals)
+    names = [p.name for p in worth.told]
+    photos = photo_results(task, problem, end, to_responses(worth.vector), pixels, residuals)
+    held = [
         LeftOut(p.name, f"{flat.why}; held at its start value")
         for flat in end.flat
         for p in flat.held
     ]
     verdict = _verdict(task, end)
-    errors = None
-    if spread is not None:
-        errors = Errors(
+    result = FitResult(
+        verdict=verdict.label,
+        message="",
+        warnings=(),
+        parameters=_estimates(task, end, worth),
+        correlation_names=tuple(names),
+        correlation=worth.correlation,
+        covariance=worth.covariance,
+        errors=worth.errors,
+        look=to_look(worth.vector, task.look),
+        photos=tuple(photos),
+        left_out=(*left_out, *worth.left_out, *held),
+        misfits=worth.misfits,
+        loss=task.loss,
+        solver=task.solver,
+        history=end.history,
+        second_opinion=end.second,
+        evidence=worth.evidence,
+    )
+    message = _message(verdict, result, [p.name for p in end.at_bound])
+    return with_warnings(replace(result, message=message), warnings_of(result, task, residuals))
+
+
+@dataclass(frozen=True)
+class _Worth:
+    """What an end point is worth: of the told parameters, in their order."""
+
+    vector: Entries
+    """The end, or what it was before compression."""
+    told: tuple[Parameter, ...] = ()
+    covariance: Float[np.ndarray, "t t"] = field(default_factory=lambda: np.zeros((0, 0)))
+    reach: Float[np.ndarray, " t"] = field(default_factory=lambda: np.zeros(0))
+    """Standard errors to either side of an interval."""
+    bias: Sequence[float | None] = ()
+    drawn: Sequence[float | None] = ()
+    undone: bool = False
+    misfits: tuple[Misfit, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    errors: Errors | None = None
+    evidence: Evidence | None = None
+
+    @property
+    def stderr(self) -> Float[np.ndarray, " t"]:
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0)))
+
+    @property
+    def correlation(self) -> Float[np.ndarray, "t t"]:
+        # The told tints add up to 3; a length of zero is a parameter that nothing can move.
+        lengths = np.where(self.stderr > 0, self.stderr, 1.0)
+        found = np.clip(self.covariance / np.outer(lengths, lengths), -1, 1)
+        np.fill_diagonal(found, 1.0)
+        return np.asarray(found)
+
+
+def _worth(
+    task: Task, problem: Problem, end: End, residuals: Sequence[Float[np.ndarray, "_ 3"]]
+) -> _Worth:
+    """Errors of what was told, widened by what is doubtful beside noise."""
+    if not end.finite:
+        return _Worth(end.vector)
+    told = tuple(_told(task, end))
+    point = Point(problem, end.vector, directions(end.free, task.parameters)[0])
+    noise = noise_of(task, problem, end, residuals)
+    spread = spread_of(point, task.sizes, residuals, noise, ROUNDING * problem.light_max)
+    evidence = Evidence(task, end, point, told, spread)
+    rows = evidence.rows
+    vector, along_free, freedom = end.vector, spread.covariance, spread.freedom(rows)
+    undone = undo_jpeg(evidence, residuals, noise) if task.jpeg == "undo" else None
+    left_out: tuple[LeftOut, ...] = ()
+    if isinstance(undone, str):
+        left_out = (LeftOut("what JPEG did", undone),)
+    elif undone is not None:
+        vector = point.moved(undone.shift).vector
+        along_free, freedom = undone.covariance, np.full(len(told), undone.freedom)
+    is_undone = isinstance(undone, Undone)
+    # What compression leaves over is no other cause's.
+    doubts = doubts_of(evidence, residuals, look_for_causes=not is_undone)
+    covariance = rows @ along_free @ rows.T + doubts.covariance
+    if problem.samples.mix is not None:
+        covariance = covariance + np.diag(grey_variance(problem.columns, told, vector))
+    return _Worth(
+        vector=vector,
+        told=told,
+        covariance=covariance,
+        reach=reach_95(freedom),
+        bias=rounding_bias(evidence),
+        drawn=layer_errors(evidence),
+        undone=is_undone,
+        misfits=doubts.misfits,
+        left_out=left_out,
+        errors=Errors(
             noise=noise,
             correlation_px=spread.correlation_px,
             block_px=spread.block_px,
             blocks=spread.blocks,
             effective_samples=problem.count / spread.area,
-        )
-    result = FitResult(
-        verdict=verdict.label,
-        message="",
-        warnings=(),
-        parameters=estimates,
-        correlation_names=tuple(names),
-        correlation=correlation,
-        covariance=covariance,
-        errors=errors,
-        look=to_look(vector, task.look),
-        photos=photos,
-        left_out=tuple(left_out),
-        misfits=doubts.misfits,
-        loss=task.loss,
-        solver=task.solver,
-        history=end.history,
-        second_opinion=end.second,
+        ),
         evidence=evidence,
     )
-    message = _message(verdict, result, [p.name for p in end.at_bound])
-    return with_warnings(replace(result, message=message), warnings_of(result, task, residuals))
+
+
+def _estimates(task: Task, end: End, worth: _Worth) -> dict[str, Estimate]:
+    """Every parameter by its name, told or not."""
+    names = [p.name for p in worth.told]
+    held = {p.name for flat in end.flat for p in flat.held}
+    stderr = worth.stderr
+    found = {}
+    for p in task.parameters:
+        value, role = float(p.of(worth.vector)), _role(p, names, end, held)
+        if p.name not in names:
+            found[p.name] = estimate(p, value, role=role)
+            continue
+        k = names.index(p.name)
+        found[p.name] = estimate(
+            p,
+            value,
+            role=role,
+            stderr=float(stderr[k]),
+            reach=float(worth.reach[k] * stderr[k]),
+            bias=worth.bias[k],
+            drawn=worth.drawn[k],
+            undone=float(p.of(worth.vector - end.vector)) if worth.undone else None,
+        )
+    return found
 
 
 def _verdict(task: Task, end: End) -> Verdict:

@@ -5,7 +5,7 @@ Nothing here computes: what is made on demand (`influence`, `weights`) is the ev
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -144,6 +144,14 @@ class Errors:
     """Samples that tell as much if they were independent."""
 
 
+class OnDemand(Protocol):
+    """What is computed from samples and end point when it is asked for (`diagnose._evidence`)."""
+
+    def influence(self, name: str) -> list[Float[np.ndarray, "_ _ 3"]]: ...
+
+    def weights(self) -> list[Float[np.ndarray, "_ _"]]: ...
+
+
 @dataclass(frozen=True)
 class FitResult:
     """A fitted look and what the photos say about it; printed, it is its report.
@@ -184,7 +192,7 @@ class FitResult:
     nothing was left to fit."""
     seconds: dict[str, float] = field(default_factory=dict)
     """"reduce": reading pixels; "solve": descents and checks; "errors": covariance and bounds."""
-    evidence: Any = field(default=None, repr=False, compare=False)
+    evidence: OnDemand | None = field(default=None, repr=False, compare=False)
     """Samples and end point, for what is computed on demand; None without data."""
 
     @property
@@ -266,7 +274,7 @@ class FitResult:
             InputError: a parameter without a standard error, a photo that there is not, or a
                 result that comes out of a pickle or is a copy.
         """
-        self._need_evidence("influence")
+        evidence = self._evidence("influence")
         if name not in self.correlation_names:
             raise InputError(
                 f"influence: {name!r} was not told by the fit; choose from "
@@ -274,8 +282,8 @@ class FitResult:
             )
         if not 0 <= photo < len(self.photos):
             raise InputError(f"influence: photo {photo} is not one of {len(self.photos)}")
-        found: np.ndarray = self.evidence.influence(name)[photo]
-        return found
+        assert evidence is not None  # names were told
+        return evidence.influence(name)[photo]
 
     def weights(self, photo: int = 0) -> Float[np.ndarray, "h w"]:
         """How much a robust loss believed each pixel, 0 to 1; NaN where none was used.
@@ -283,19 +291,19 @@ class FitResult:
         Raises:
             InputError: the result comes out of a pickle or is a copy.
         """
-        self._need_evidence("weights")
-        if self.evidence is None:
+        evidence = self._evidence("weights")
+        if evidence is None:
             return np.full(self.photos[photo].used.shape, np.nan, np.float32)
-        found: np.ndarray = self.evidence.weights()[photo]
-        return found
+        return evidence.weights()[photo]
 
-    def _need_evidence(self, what: str) -> None:
-        """Raise `InputError` where something was fitted and its samples are gone."""
+    def _evidence(self, what: str) -> OnDemand | None:
+        """Raises `InputError` where something was told and its samples are gone."""
         if self.evidence is None and self.correlation_names:
             raise InputError(
                 f"{what}: needs the samples of the photo, which no pickle and no copy of a result "
                 "holds; fit again"
             )
+        return self.evidence
 
     def report(self) -> str:
         """The fit as plain text, as the command line prints it."""

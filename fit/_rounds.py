@@ -9,12 +9,12 @@ from jaxtyping import Float
 
 from ._choices import LossName
 from ._compile import float64
-from .diagnose._evidence import residuals_at, square_sum_of
+from .diagnose._residuals import residuals_of, square_sum_of
 from .photo._pixels import Columns
 from .solve._loss import Loss
 from .solve._model import Model, Prior
 from .solve._parameters import Parameter, to_entries
-from .solve._problem import Problem, state
+from .solve._problem import Problem
 from .solve._samples import on_device, share_widths, to_samples
 from .solve._search import End, search
 from .solve._task import Task
@@ -33,7 +33,8 @@ def make_problem(task: Task, columns: tuple[Columns, ...]) -> Problem:
     linear = not any(p in free for p in gammas) and all(p.value == 1 for p in gammas)
     samples = to_samples(columns)
     columns = share_widths(columns, samples)
-    return state(columns, on_device(samples), task.parameters, Model(Loss("linear"), None, linear))
+    model = Model(Loss("linear"), None, linear)
+    return Problem(columns, on_device(samples), task.parameters, model)
 
 
 def search_in_rounds(
@@ -45,7 +46,7 @@ def search_in_rounds(
     if task.loss == "linear" and not has_priors and problem.samples.clipped is None:
         return problem, search(problem, start, asked, task.solver, task.max_steps)
     believing = replace(problem.samples, clipped=None)
-    rough = state(problem.columns, believing, task.parameters, problem.model).rough()
+    rough = replace(problem, samples=believing).rough()
     end = search(rough, start, asked, task.solver, task.max_steps, last=False)
     noise = 0.0
     # Cauchy has valleys of its own; Huber, which has none, shows it the right one.
@@ -53,14 +54,14 @@ def search_in_rounds(
     for number in range(_ROUNDS):
         if not end.finite:
             return problem, end
-        found = noise_of(task, problem, end, residuals_at(problem, end))
+        found = noise_of(task, problem, end, residuals_of(problem, end.vector))
         if number > 1 and abs(found - noise) <= _SAME_NOISE * noise:
             break
         noise = found
         with float64():
             priced = Loss(losses.pop() if losses else task.loss, jnp.asarray(noise))
         prior = _prior(asked, noise, len(start))
-        problem = problem.with_model(Model(priced, prior, problem.model.linear))
+        problem = replace(problem, model=Model(priced, prior, problem.model.linear))
         end = search(
             problem.rough(),
             start,

@@ -16,6 +16,7 @@ import json
 import re
 
 import numpy as np
+from jaxtyping import Float
 
 from model_jax import ENCODINGS, DepthTextures, Encoding, InputError, Layers, Scene
 from model_jax._errors import shown
@@ -137,9 +138,6 @@ def read_layers(
     check_encoding(path, textures)
     rgb = [f"surface.{c}" for c in "RGB"]
     surface = np.stack([channels[c] for c in rgb], axis=-1) if set(rgb) <= set(channels) else None
-    color = header.get("airlight.color", (1.0, 1.0, 1.0))
-    if not (isinstance(color, tuple) and len(color) == 3 and np.all(np.isfinite(color))):
-        raise InputError(f"{path}: airlight.color is {color!r}; it must be three finite numbers")
     unit = _number(path, header, "airlight.width_unit", 1.0)
     if unit <= 0:
         raise InputError(f"{path}: airlight.width_unit is {unit!r}; it must be above 0")
@@ -150,7 +148,7 @@ def read_layers(
         shadow_back=linear.shadow_back,
         surface=surface,
         planet=channels.get("planet.A"),
-        color=np.array([*color, _number(path, header, "airlight.alpha", 1.0)]),
+        color=_color(path, header),
         reference=linear.reference,
         width_unit=linear.width_unit if coding != "linear" else unit,
         stretch=channels.get("stretch.Y"),
@@ -249,6 +247,14 @@ def _check_windows(path: PathLike, channels: dict[str, np.ndarray]) -> None:
                 "are no coded depths (0 to 1); leave --near and --far away, or give --encoding "
                 "linear, if they are eye depths"
             )
+
+
+def _color(path: PathLike, header: dict[str, object]) -> Float[np.ndarray, "4"]:
+    """Colour and alpha of the air."""
+    color = header.get("airlight.color", (1.0, 1.0, 1.0))
+    if not (isinstance(color, tuple) and len(color) == 3 and np.all(np.isfinite(color))):
+        raise InputError(f"{path}: airlight.color is {color!r}; it must be three finite numbers")
+    return np.array([*color, _number(path, header, "airlight.alpha", 1.0)])
 
 
 def _number(path: PathLike, header: dict[str, object], name: str, default: float) -> float:

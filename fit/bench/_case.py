@@ -27,7 +27,7 @@ from ..photo._pixels import Columns
 from ..solve._declare import declare
 from ..solve._loss import Loss
 from ..solve._model import Model
-from ..solve._problem import Problem, state
+from ..solve._problem import Problem
 from ..solve._samples import on_device, to_samples
 
 TRUTH = Look(brightness=3.0, shadow=0.2, tint=np.array([0.8, 0.9, 1.3]))
@@ -86,7 +86,7 @@ def make_problem(columns: Columns, more: tuple[str, ...]) -> tuple[Problem, Any]
     parameters = declare(Look(1.0, 0.5), [Response()], free=(*FREE, *more))
     samples = on_device(to_samples([columns]))
     model = Model(Loss("linear"), None, not more)
-    return state((columns,), samples, parameters, model), parameters
+    return Problem((columns,), samples, parameters, model), parameters
 
 
 def scene_text(width: int, height: int) -> str:

@@ -31,7 +31,6 @@ from .._result import FitResult
 from ..photo._pixels import Columns, choose_pixels, take_columns
 from ..solve._descend import exact_gram
 from ..solve._parameters import directions, to_entries
-from ..solve._problem import Problem
 from ..solve._search import search
 from ._case import FREE, SEED, SIZE, Row, make_picture, make_problem
 from ._peers import dense_fit, scipy_fit
@@ -123,7 +122,7 @@ def _solve(
     """The search alone: from the used pixels in NumPy arrays to the best vector."""
     problem, parameters = make_problem(columns, more)
     if all_pixels:
-        problem = Problem(**{**vars(problem), "few": problem.samples})
+        problem = replace(problem, is_rough=True)
     free = [p for p in parameters if p.role == "free"]
     return search(problem, to_entries(parameters), free, "lm", 256).vector
 

@@ -3,12 +3,12 @@
     --start shadow=0.3   --bounds shadow=:1   --prior gamma=1:0.05   --tie gamma.2=gamma.1
 
 Their form is checked here, and that each name is of some parameter; which members there are and
-which values are possible is `declare`'s.
+which values are possible is `declare`'s. Paths and tone curves are checked here too.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from model_jax._errors import InputError, shown
 from model_jax._parameter import PARAMETERS, RESPONSE_PARAMETERS
@@ -60,6 +60,30 @@ def names(text: str | None) -> tuple[str, ...] | None:
     for name in found:
         _check_name(f"--free {text}", name)
     return found
+
+
+def check_paths(paths: list[str], layers: str | None) -> None:
+    """SCENE PHOTO pairs, or one PHOTO for layers."""
+    if layers is not None and len(paths) != 1:
+        raise InputError(
+            f"fit: got {len(paths)} paths with --layers; give --layers LAYERS.exr PHOTO"
+        )
+    if layers is None and (len(paths) % 2 or not paths):
+        raise InputError(
+            f"fit: got {len(paths)} paths; give SCENE PHOTO, for several photos "
+            "SCENE1 PHOTO1 SCENE2 PHOTO2, or --layers LAYERS.exr PHOTO"
+        )
+
+
+def tone_curve(text: str | None) -> Any:
+    """The option's text in the form that scene files use; `InputError` for anything else."""
+    if text in (None, "linear", "srgb"):
+        return text
+    try:
+        exposure, gamma = (float(number) for number in str(text).split(","))
+    except ValueError:
+        raise InputError(f"--tone-curve {text}: must be linear, srgb or EXPOSURE,GAMMA") from None
+    return {"exposure": exposure, "gamma": gamma}
 
 
 def _each(option: str, form: str, texts: Sequence[str], read: Callable[[str], T]) -> dict[str, T]:

@@ -11,7 +11,7 @@ import json
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -28,9 +28,6 @@ from ._drawing import NOTHING_IN_VIEW, draw_picture, in_view, parse_size, resize
 from ._guard import check_devices, guard, tell
 from ._outputs import check_folder, prepare_folder, versions
 from ._progress import computing, console, say
-
-if TYPE_CHECKING:
-    pass
 
 app = typer.Typer(
     rich_markup_mode=None,
@@ -219,7 +216,7 @@ def fit(
     The look is brightness, shadow weight, tint and background. Several photos share it, and each
     has an exposure and a black level of its own instead of the background.
     """
-    _check_paths(paths, layers)
+    assignments.check_paths(paths, layers)
     if layers is None and any(given is not None for given in (near, far, encoding)):
         raise InputError(
             "fit: --near, --far and --encoding go with --layers; a scene has its own clip planes"
@@ -244,7 +241,7 @@ def fit(
         constant=constant,
         source=source or "raster",
         depth_format=depth or "linear",
-        tone_curve=_tone_curve(tone_curve),
+        tone_curve=assignments.tone_curve(tone_curve),
         mask=mask,
         free=assignments.names(free),
         start=assignments.starts(start or ()),
@@ -395,27 +392,3 @@ def _command() -> str:
     """The command line as far as its subcommand, if it has one."""
     commands = ("render", "fit", "check", "export", "bench", "version")
     return " ".join(["airlight", *(word for word in sys.argv[1:2] if word in commands)])
-
-
-def _check_paths(paths: list[str], layers: str | None) -> None:
-    """SCENE PHOTO pairs, or one PHOTO for layers."""
-    if layers is not None and len(paths) != 1:
-        raise InputError(
-            f"fit: got {len(paths)} paths with --layers; give --layers LAYERS.exr PHOTO"
-        )
-    if layers is None and (len(paths) % 2 or not paths):
-        raise InputError(
-            f"fit: got {len(paths)} paths; give SCENE PHOTO, for several photos "
-            "SCENE1 PHOTO1 SCENE2 PHOTO2, or --layers LAYERS.exr PHOTO"
-        )
-
-
-def _tone_curve(text: str | None) -> Any:
-    """The option's text in the form that scene files use; `InputError` for anything else."""
-    if text in (None, "linear", "srgb"):
-        return text
-    try:
-        exposure, gamma = (float(number) for number in str(text).split(","))
-    except ValueError:
-        raise InputError(f"--tone-curve {text}: must be linear, srgb or EXPOSURE,GAMMA") from None
-    return {"exposure": exposure, "gamma": gamma}

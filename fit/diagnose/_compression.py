@@ -34,12 +34,12 @@ from model_jax import Layers
 from .._compile import float64
 from ..photo._camera import SEED, Camera, left_over, near_used
 from ..photo._photo import Photo
-from ..photo._pixels import PhotoLike, size_of, take_columns
+from ..photo._pixels import Columns, PhotoLike, size_of, take_columns
 from ..solve._model import Model, Prior
 from ..solve._parameters import Entries, Parameter, is_outside
 from ..solve._polish import gauss_newton
-from ..solve._problem import Problem
-from ..solve._samples import on_device, relit, to_samples
+from ..solve._problem import Point, Problem
+from ..solve._samples import relit
 from ._autocorrelation import area_of
 from ._residuals import predictions_of
 
@@ -82,11 +82,9 @@ class Undone:
 
 
 def undo_compression(
+    point: Point,
     photos: Sequence[PhotoLike],
     layers: Sequence[Layers],
-    problem: Problem,
-    vector: Entries,
-    along: Float[np.ndarray, "e p"],
     free: Sequence[Parameter],
     covariance: Float[np.ndarray, "p p"],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
@@ -97,82 +95,34 @@ def undo_compression(
     """The look before compression, or why the photos do not tell it, in words.
 
     Args:
-        vector: where the fit ended.
+        point: where the fit ended, along the directions of what is free.
         covariance: of it, by the residuals: how wide to look at first.
         residuals: of each photo, by `residuals_of`.
         area: pixels of the residuals that count as one.
         noise: standard deviation of a sample, which priors are measured in.
         structured: the residuals hang together as noise does not; compression may be why.
     """
-    unit = float(layers[0].width_unit)
-    near = []
-    for photo, of, c in zip(photos, layers, problem.columns, strict=True):
-        used = np.zeros(size_of(photo), bool)
-        used.reshape(-1)[c.index] = True
-        near.append(take_columns(photo, of, near_used(photo, used), unit))
-    around = on_device(to_samples(near))
-    model = problem.model
-
-    def picture(here: Entries) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Light of the used pixels and of those near, photo by photo."""
-        light = predictions_of(problem.columns, problem.samples, model, here)
-        near_light = predictions_of(near, around, model, here)
-        return list(zip(light, near_light, strict=True))
-
-    robust = model.loss.name != "linear"
-    fitted_parts = zip(photos, problem.columns, near, picture(vector), residuals, strict=True)
-    cameras = [Camera(p, c, by, *seen, left, robust) for p, c, by, seen, left in fitted_parts]
-    sizes = [size_of(photo) for photo in photos]
-    p = along.shape[1]
-    count = max(PAIRS, 4 * (p + 1))
-
-    def fitted(
-        step: Float[np.ndarray, " p"], seed: np.random.SeedSequence, measured: bool
-    ) -> tuple[Float[np.ndarray, " p"], float]:
-        """What a fit would give for a look a step away; the area of its residuals."""
-        rng = np.random.default_rng(seed)
-        here = vector + along @ step
-        seen = picture(here)
-        shots = [c.take(*parts, rng) for c, parts in zip(cameras, seen, strict=True)]
-        again = replace(problem, samples=relit(problem.samples, shots))
-        if model.prior is not None:
-            again = replace(again, model=_reminded(model, here, noise, rng))
-        end = step
-        for _ in range(_ROBUST_STEPS if robust else 1):
-            end = end - gauss_newton(again.gram(vector + along @ end, along))
-        if not measured:
-            return end, 0.0
-        left = [left_over(shot, light) for shot, (light, _) in zip(shots, seen, strict=True)]
-        return end, area_of(problem.columns, sizes, left)
-
-    def made_area(seed: np.random.SeedSequence) -> float:
-        """The area of residuals that are made of noise and compression alone."""
-        rng = np.random.default_rng(seed)
-        shots = [c.take(*parts, rng) for c, parts in zip(cameras, picture(vector), strict=True)]
-        again = replace(problem, samples=relit(problem.samples, shots))
-        end = vector - along @ gauss_newton(again.gram(vector, along))
-        light = predictions_of(problem.columns, problem.samples, model, end)
-        left = [left_over(*pair) for pair in zip(shots, light, strict=True)]
-        return area_of(problem.columns, sizes, left)
-
-    if structured and area > ALIKE * made_area(np.random.SeedSequence(SEED)):
+    again = _Again.of(point, photos, layers, residuals, noise)
+    if structured and area > ALIKE * again.area(np.random.SeedSequence(SEED)):
         return "what is left over hangs together as compression does not make it"
+    p = point.along.shape[1]
+    count = max(PAIRS, 4 * (p + 1))
     chance = [SEED, *(_checksum(photo) for photo in photos)]
     shift = np.zeros(p)
     found: Undone | None = None
-    with ThreadPoolExecutor(_threads(problem)) as pool:
+    with ThreadPoolExecutor(_threads(point.problem)) as pool:
         for number in range(ROUNDS):
             *seeds, own = np.random.SeedSequence([*chance, number]).spawn(count + 1)
             steps = _draw(shift, covariance, count, np.random.default_rng(own))
-            steps = np.stack([_inside(step, shift, vector, along, free) for step in steps])
+            steps = np.stack([_inside(step, shift, point, free) for step in steps])
             measured = [k < _MEASURED for k in range(count)]
-            ends, areas = zip(*pool.map(fitted, steps, seeds, measured), strict=True)
+            ends, areas = zip(*pool.map(again.fitted, steps, seeds, measured), strict=True)
             read = _read_backwards(steps, np.stack(ends))
             if read is None:
                 covariance = 4 * covariance
                 continue
             before, (shift, covariance) = covariance, read
-            shift = _bounded(shift, covariance, vector, along, free)
+            shift = _bounded(shift, covariance, point, free)
             # Made-up noise does not hang together before compression; noise that did tells less.
             covariance = covariance * max(1.0, area / max(areas))
             found = Undone(shift, covariance, float(count - p - 1))
@@ -180,12 +130,93 @@ def undo_compression(
                 break
     if found is None:
         return "files compressed alike are the same for all looks near"
-    light = picture(vector + along @ found.shift)
-    for camera, parts in zip(cameras, light, strict=True):
-        unlike = camera.unlike(*parts)
-        if unlike:
-            return unlike
-    return found
+    return again.unlike(found.shift) or found
+
+
+@dataclass(frozen=True)
+class _Again:
+    """The photos taken again of looks by a point, each fitted as the photos were."""
+
+    point: Point
+    near: Problem
+    """Unused pixels that share a coded block with used ones."""
+    sizes: tuple[tuple[int, int], ...]
+    cameras: tuple[Camera, ...]
+    noise: float
+    robust: bool
+
+    @classmethod
+    def of(
+        cls,
+        point: Point,
+        photos: Sequence[PhotoLike],
+        layers: Sequence[Layers],
+        residuals: Sequence[Float[np.ndarray, "_ 3"]],
+        noise: float,
+    ) -> "_Again":
+        problem, unit = point.problem, float(layers[0].width_unit)
+        near = []
+        for photo, of, c in zip(photos, layers, problem.columns, strict=True):
+            used = np.zeros(size_of(photo), bool)
+            used.reshape(-1)[c.index] = True
+            near.append(take_columns(photo, of, near_used(photo, used), unit))
+        around = problem.beside(near)
+        robust = problem.model.loss.name != "linear"
+        parts = zip(photos, problem.columns, near, _picture(point, around), residuals, strict=True)
+        cameras = tuple(Camera(p, c, by, *seen, left, robust) for p, c, by, seen, left in parts)
+        sizes = tuple(size_of(photo) for photo in photos)
+        return cls(point, around, sizes, cameras, noise, robust)
+
+    def fitted(
+        self, step: Float[np.ndarray, " p"], seed: np.random.SeedSequence, measured: bool
+    ) -> tuple[Float[np.ndarray, " p"], float]:
+        """What a fit would give for a look a step away; the area of its residuals, if measured."""
+        rng, here = np.random.default_rng(seed), self.point.moved(step)
+        seen, shots = self._shots(here, rng)
+        model = self.point.problem.model
+        if model.prior is not None:
+            model = _reminded(model, here.vector, self.noise, rng)
+        again = self._retaken(shots, model)
+        end = step
+        for _ in range(_ROBUST_STEPS if self.robust else 1):
+            end = end - gauss_newton(again.moved(end).gram())
+        if not measured:
+            return end, 0.0
+        left = [left_over(shot, light) for shot, (light, _) in zip(shots, seen, strict=True)]
+        return end, area_of(self.point.problem.columns, self.sizes, left)
+
+    def area(self, seed: np.random.SeedSequence) -> float:
+        """The area of residuals that are made of noise and compression alone."""
+        _, shots = self._shots(self.point, np.random.default_rng(seed))
+        step = -gauss_newton(self._retaken(shots, self.point.problem.model).gram())
+        light = predictions_of(self.point.problem, self.point.moved(step).vector)
+        left = [left_over(*pair) for pair in zip(shots, light, strict=True)]
+        return area_of(self.point.problem.columns, self.sizes, left)
+
+    def unlike(self, shift: Float[np.ndarray, " p"]) -> str | None:
+        """How the files made up differ from the photos'; None where they are alike."""
+        seen = _picture(self.point.moved(shift), self.near)
+        told = (camera.unlike(*parts) for camera, parts in zip(self.cameras, seen, strict=True))
+        return next((why for why in told if why), None)
+
+    def _shots(
+        self, here: Point, rng: np.random.Generator
+    ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[Columns]]:
+        """What a point predicts, and the photos taken of it."""
+        seen = _picture(here, self.near)
+        return seen, [c.take(*parts, rng) for c, parts in zip(self.cameras, seen, strict=True)]
+
+    def _retaken(self, shots: Sequence[Columns], model: Model) -> Point:
+        """The point, of the photos taken again."""
+        problem = self.point.problem
+        samples = relit(problem.samples, shots)
+        return replace(self.point, problem=replace(problem, samples=samples, model=model))
+
+
+def _picture(here: Point, near: Problem) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Light of the used pixels and of those near, photo by photo."""
+    light = predictions_of(here.problem, here.vector)
+    return list(zip(light, predictions_of(near, here.vector), strict=True))
 
 
 def _checksum(photo: PhotoLike) -> int:
@@ -217,13 +248,12 @@ def _draw(
 def _inside(
     step: Float[np.ndarray, " p"],
     center: Float[np.ndarray, " p"],
-    vector: Entries,
-    along: Float[np.ndarray, "e p"],
+    point: Point,
     free: Sequence[Parameter],
 ) -> Float[np.ndarray, " p"]:
     """The step, its way from the centre halved until it stays within all bounds."""
     for _ in range(_HALVINGS):
-        if not is_outside(vector + along @ step, free):
+        if not is_outside(point.moved(step).vector, free):
             return step
         step = (center + step) / 2
     return center
@@ -232,18 +262,17 @@ def _inside(
 def _bounded(
     shift: Float[np.ndarray, " p"],
     covariance: Float[np.ndarray, "p p"],
-    vector: Entries,
-    along: Float[np.ndarray, "e p"],
+    point: Point,
     free: Sequence[Parameter],
 ) -> Float[np.ndarray, " p"]:
     """The likeliest shift within all bounds, given that they hold: what is beyond goes to its
     bound, and what is correlated with it follows."""
     for _ in range(2 * len(free)):
-        here = vector + along @ shift
+        here = point.moved(shift).vector
         beyond = [p for p in free if not p.lower <= p.of(here) <= p.upper]
         if not beyond:
             break
-        row = along[beyond[0].entries[0]]
+        row = point.along[beyond[0].entries[0]]
         pull = covariance @ row
         excess = beyond[0].of(here) - np.clip(beyond[0].of(here), beyond[0].lower, beyond[0].upper)
         # An ulp further, or rounding leaves it outside.

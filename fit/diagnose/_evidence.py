@@ -1,6 +1,7 @@
 """Samples and end point of a fit, for what a result computes on demand."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +13,11 @@ from model_jax._shapes import AnyArray
 from .._compile import float64, program
 from ..solve._loss import Loss, weigh
 from ..solve._parameters import Parameter
-from ..solve._problem import Problem
+from ..solve._problem import Point, Problem
 from ..solve._search import End
 from ..solve._task import Task
 from ._influence import influence_maps
-from ._residuals import residuals_of
+from ._residuals import residuals_of, square_sum_of
 from ._spread import Spread
 
 BELIEVED = 0.25
@@ -29,37 +30,32 @@ class Evidence:
     """Samples and end point, for what a result computes on demand."""
 
     task: Task
-    problem: Problem
     end: End
-    along: Float[np.ndarray, "e p"]
+    point: Point
+    """The end point, along `end.free`."""
     told: tuple[Parameter, ...]
     spread: Spread
 
-    def to_told(self) -> Float[np.ndarray, "t p"]:
+    @property
+    def problem(self) -> Problem:
+        return self.point.problem
+
+    @cached_property
+    def rows(self) -> Float[np.ndarray, "t p"]:
         """Rows of the told parameters along the free directions."""
-        rows = [p.of(self.along) for p in self.told]
-        return np.array(rows).reshape(len(self.told), self.along.shape[1])
+        rows = [p.of(self.point.along) for p in self.told]
+        return np.array(rows).reshape(len(self.told), self.point.along.shape[1])
 
     def influence(self, name: str) -> list[Float[np.ndarray, "_ _ 3"]]:
         """`FitResult.influence` for all photos."""
-        row = self.to_told()[[p.name for p in self.told].index(name)]
-        problem = self.problem
-        return influence_maps(
-            problem.columns,
-            self.task.sizes,
-            problem.samples,
-            problem.model,
-            self.end.vector,
-            self.along,
-            row,
-            self.spread.hessian,
-        )
+        row = self.rows[[p.name for p in self.told].index(name)]
+        return influence_maps(self.point, self.task.sizes, row, self.spread.hessian)
 
     def weights(self) -> list[Float[np.ndarray, "_ _"]]:
         """`FitResult.weights` for all photos."""
         found = []
         sizes = self.task.sizes
-        residuals = residuals_at(self.problem, self.end)
+        residuals = residuals_of(self.problem, self.point.vector)
         for c, size, residual in zip(self.problem.columns, sizes, residuals, strict=True):
             weights = np.full(size, np.nan, np.float32)
             believed = belief_in(residual, self.problem.model.loss)
@@ -88,16 +84,6 @@ def belief_in(residual: Float[np.ndarray, "n 3"], loss: Loss) -> Float[np.ndarra
 @program
 def _belief(residual: Float[AnyArray, "n 3"], loss: Loss) -> Float[jax.Array, "n 3"]:
     return weigh(jnp.asarray(residual), None, loss)[2]
-
-
-def residuals_at(problem: Problem, end: End) -> list[Float[np.ndarray, "_ 3"]]:
-    return residuals_of(problem.columns, problem.samples, problem.model, end.vector)
-
-
-def square_sum_of(values: Float[np.ndarray, " n"]) -> tuple[int, float]:
-    """Number and square sum of what is no NaN."""
-    known = values[np.isfinite(values)].astype(np.float64)
-    return len(known), float(known @ known)
 
 
 def explained_share(

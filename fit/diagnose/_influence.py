@@ -14,21 +14,16 @@ from jaxtyping import Float
 from model_jax._shapes import AnyArray
 
 from .._compile import float64, program
-from ..photo._pixels import Columns
 from ..solve._loss import weigh
 from ..solve._model import Model, tile_slopes
-from ..solve._parameters import Entries
+from ..solve._problem import Point
 from ..solve._samples import Samples, tile_at
 from ._residuals import tile_groups
 
 
 def rounding_bound(
-    columns: Sequence[Columns],
+    point: Point,
     half_steps: Sequence[Float[np.ndarray, "_ 3"] | None],
-    samples: Samples,
-    model: Model,
-    vector: Entries,
-    along: Float[np.ndarray, "e p"],
     to_told: Float[np.ndarray, "t p"],
     hessian: Float[np.ndarray, "p p"],
 ) -> Float[np.ndarray, " t"]:
@@ -39,8 +34,8 @@ def rounding_bound(
     """
     response = np.linalg.solve(hessian, to_told.T)
     bound = np.zeros(len(to_told))
-    starts = [0] * len(columns)
-    for photo, influence in influences(samples, model, vector, along @ response):
+    starts = [0] * len(half_steps)
+    for photo, influence in influences(point, response):
         n = influence.shape[-1]
         steps = half_steps[photo]
         if steps is not None:
@@ -51,12 +46,8 @@ def rounding_bound(
 
 
 def influence_maps(
-    columns: Sequence[Columns],
+    point: Point,
     sizes: Sequence[tuple[int, int]],
-    samples: Samples,
-    model: Model,
-    vector: Entries,
-    along: Float[np.ndarray, "e p"],
     to_told: Float[np.ndarray, " p"],
     hessian: Float[np.ndarray, "p p"],
 ) -> list[Float[np.ndarray, "_ _ 3"]]:
@@ -66,11 +57,11 @@ def influence_maps(
     """
     # A plane for each channel, as files store them.
     maps = [np.moveaxis(np.zeros((3, *size), np.float32), 0, -1) for size in sizes]
-    starts = [0] * len(columns)
+    starts = [0] * len(sizes)
     response = np.linalg.solve(hessian, to_told)
-    for photo, influence in influences(samples, model, vector, along @ response[:, None]):
+    for photo, influence in influences(point, response[:, None]):
         n = influence.shape[-1]
-        index = columns[photo].index[starts[photo] : starts[photo] + n]
+        index = point.problem.columns[photo].index[starts[photo] : starts[photo] + n]
         for k, plane in enumerate(np.moveaxis(maps[photo], -1, 0)):
             plane.reshape(-1)[index] = influence[0, k]
         starts[photo] += n
@@ -78,13 +69,14 @@ def influence_maps(
 
 
 def influences(
-    samples: Samples, model: Model, vector: Entries, along: Float[np.ndarray, "e t"]
+    point: Point, response: Float[np.ndarray, "p t"]
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Photo and influence [t, 3, n] of each tile; `along` is directions × H⁻¹ × what is asked."""
+    """Photo and influence [t, 3, n] of each tile; `response` is H⁻¹ × what is asked."""
+    samples, model, along = point.problem.samples, point.problem.model, point.along @ response
     count, photo = np.asarray(samples.count), np.asarray(samples.photo)
     with float64():
         for filled, numbers in tile_groups(samples):
-            found = np.asarray(_tile_influence(vector, along, samples, model, numbers))
+            found = np.asarray(_tile_influence(point.vector, along, samples, model, numbers))
             for k in range(filled):
                 number = numbers[k]
                 yield int(photo[number]), found[k, ..., : count[number]]

@@ -28,9 +28,7 @@ from model_jax import Layers
 from .._choices import Sampling
 from .._result import Misfit
 from ..photo._pixels import Columns, block_numbers, unlit_columns
-from ..solve._model import Model
-from ..solve._parameters import Entries
-from ..solve._samples import on_device, to_samples
+from ..solve._problem import Point
 from ._amounts import Amounts, Sums
 from ._influence import influences
 from ._patterns import Patch, rms
@@ -73,11 +71,8 @@ class Doubts:
 
 
 def find_doubts(
-    columns: Sequence[Columns],
+    point: Point,
     layers: Sequence[Layers],
-    model: Model,
-    vector: Entries,
-    along: Float[np.ndarray, "e p"],
     to_told: Float[np.ndarray, "t p"],
     hessian: Float[np.ndarray, "p p"],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
@@ -98,11 +93,12 @@ def find_doubts(
     """
     if not len(to_told) or not (look_for_causes or sampling == "area"):
         return Doubts((), np.zeros((len(to_told), len(to_told))))
+    columns, along, known = point.problem.columns, point.along, point.problem.model.prior
     influence = np.linalg.solve(hessian, to_told.T)
     length = np.linalg.norm(influence, axis=1)
     length = np.where(length > 0, length, 1.0)
     slopes_of = np.linalg.pinv(influence / length[:, None]) / length
-    weight = np.zeros(len(vector)) if model.prior is None else np.asarray(model.prior.weight)
+    weight = np.zeros(len(along)) if known is None else np.asarray(known.weight)
     prior = (along.T * weight) @ along
     nobody = np.zeros(0, np.intp)
     unit = float(layers[0].width_unit)
@@ -119,11 +115,11 @@ def find_doubts(
             return [part if k == number else _part(o, nobody) for k, o in enumerate(columns)]
 
         part = _part(c, chosen)
-        samples = on_device(to_samples(alone(part)))
-        slopes = [slope for _, slope in influences(samples, model, vector, along @ influence)]
+        here = replace(point, problem=point.problem.beside(alone(part)))
+        slopes = [slope for _, slope in influences(here, influence)]
         near, place = _neighbours(part.index, of)
-        around = alone(unlit_columns(of, near, part, unit))
-        light = predictions_of(around, on_device(to_samples(around)), model, vector)[number]
+        around = point.problem.beside(alone(unlit_columns(of, near, part, unit)))
+        light = predictions_of(around, point.vector)[number]
         seen, *beside = np.concatenate([light, np.full((1, 3), np.nan)])[place]
         patch = Patch(part, size, seen, np.stack(beside))
         left = np.where(believed[number][chosen], residuals[number][chosen], np.nan)

@@ -12,10 +12,9 @@ from .._verdict import STRUCTURED_PX, WELL_EXPLAINED
 from ..photo._photo import Photo
 from ..photo._pixels import Columns, Pixels, as_picture, light_at, take_columns
 from ..solve._parameters import CHANNELS, Parameter, directions
-from ..solve._samples import on_device, to_samples
 from ..solve._task import Task
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
-from ._evidence import BELIEVED, CHUNK, explained_share
+from ._evidence import BELIEVED, CHUNK, Evidence, explained_share
 from ._patterns import CAUSES
 from ._residuals import residuals_of
 
@@ -163,13 +162,12 @@ def _shows_planet(layers: Layers) -> bool:
 def _shares(columns: Sequence[Columns], result: FitResult) -> list[list[float | None]]:
     """What a fit explains of the light of other pixels; nothing is said of none."""
     evidence = result.evidence
-    if evidence is None or not any(len(c.index) for c in columns):
+    if not isinstance(evidence, Evidence) or not any(len(c.index) for c in columns):
         return [[] for _ in columns]
-    model = evidence.problem.model
-    samples = on_device(to_samples(columns))
-    left = residuals_of(columns, samples, model, evidence.end.vector)
+    left = residuals_of(evidence.problem.beside(columns), evidence.point.vector)
+    loss = evidence.problem.model.loss
     return [
-        [explained_share(c.light, residual, model.loss)] if len(c.index) else []
+        [explained_share(c.light, residual, loss)] if len(c.index) else []
         for c, residual in zip(columns, left, strict=True)
     ]
 
@@ -197,9 +195,8 @@ def warnings_of(
         )
     found += _misfit_warnings(result)
     found += file_remarks(task)
-    structured = errors is not None and errors.correlation_px > STRUCTURED_PX
     seen = undone or result.misfits or (explained or 0) >= 1 - 1e-6
-    if errors is not None and structured and not seen:
+    if errors is not None and errors.correlation_px > STRUCTURED_PX and not seen:
         remedy = ""
         if task.loss == "linear" and _sticks_out(residuals):
             remedy = (
@@ -217,6 +214,21 @@ def warnings_of(
             "The photo is grey: copies of a channel count once, and the look is compared by its "
             "luminance (ITU-R BT.709). What other weights would change is in brightness's interval."
         )
+    found += _value_warnings(result)
+    lossy = any(isinstance(p, Photo) and p.lossy for p in task.photos)
+    if lossy and told and not undone:
+        asked = task.jpeg == "undo"
+        found.append(
+            "The photo's compression rounds colours block by block, which the intervals know only "
+            "in part: fit the picture before it was compressed, if there is one"
+            + ("." if asked else ", or let its JPEG be undone (--jpeg undo).")
+        )
+    return found
+
+
+def _value_warnings(result: FitResult) -> list[str]:
+    """Of values that are negative, at a bound's edge, or moved by the layers' own errors."""
+    found = []
     negative = [n for n, e in result.parameters.items() if e.stderr and e.value + 3 * e.stderr < 0]
     if any(name.startswith("background") for name in negative):
         found.append("The background came out negative: the model takes light away.")
@@ -241,14 +253,6 @@ def warnings_of(
         found.append(
             f"The layers hold a mesh, whose error can shift values by more than their intervals "
             f"say ({shifts}): use more planet.triangles, no relief, or --source raster."
-        )
-    lossy = any(isinstance(p, Photo) and p.lossy for p in task.photos)
-    if lossy and told and not undone:
-        asked = task.jpeg == "undo"
-        found.append(
-            "The photo's compression rounds colours block by block, which the intervals know only "
-            "in part: fit the picture before it was compressed, if there is one"
-            + ("." if asked else ", or let its JPEG be undone (--jpeg undo).")
         )
     return found
 

@@ -1,6 +1,6 @@
 """Residuals, predictions and slopes by the widths, photo by photo."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import jax
@@ -11,56 +11,51 @@ from jaxtyping import Float
 from model_jax._shapes import AnyArray
 
 from .._compile import float64, program
-from ..photo._pixels import Columns
 from ..solve._model import Model, predict
 from ..solve._parameters import Entries
+from ..solve._problem import Problem
 from ..solve._samples import Samples, tile_at
 
 _GROUP = 8
 
 
-def residuals_of(
-    columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
-) -> list[Float[np.ndarray, "_ 3"]]:
+def residuals_of(problem: Problem, vector: Entries) -> list[Float[np.ndarray, "_ 3"]]:
     """Recorded minus predicted light of each photo's used samples; NaN where one is clipped, or a
     copy."""
-    found = _differences(columns, samples, model, vector)
-    for c, residual in zip(columns, found, strict=True):
+    found = _differences(problem, vector)
+    for c, residual in zip(problem.columns, found, strict=True):
         residual[:, c.copies] = np.nan
         if c.clipped is not None:
             residual[c.clipped != 0] = np.nan
     return found
 
 
-def predictions_of(
-    columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
-) -> list[Float[np.ndarray, "_ 3"]]:
+def predictions_of(problem: Problem, vector: Entries) -> list[Float[np.ndarray, "_ 3"]]:
     """Predicted light of each photo's used samples."""
-    found = _differences(columns, samples, model, vector)
-    return [c.light - difference for c, difference in zip(columns, found, strict=True)]
+    found = _differences(problem, vector)
+    return [c.light - difference for c, difference in zip(problem.columns, found, strict=True)]
 
 
-def _differences(
-    columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
-) -> list[Float[np.ndarray, "_ 3"]]:
+def _differences(problem: Problem, vector: Entries) -> list[Float[np.ndarray, "_ 3"]]:
     """Recorded minus predicted light, or bound minus predicted light."""
-    measured = replace(samples, clipped=None)  # one program serves photos with and without
-    return _by_photo(columns, samples, lambda tiles: _residuals(vector, measured, model, tiles))
+    # One program serves photos with and without clipped samples.
+    measured, model = replace(problem.samples, clipped=None), problem.model
+    return _by_photo(problem, lambda tiles: _residuals(vector, measured, model, tiles))
 
 
-def width_slopes_of(
-    columns: Sequence[Columns], samples: Samples, model: Model, vector: Entries
-) -> list[Float[np.ndarray, "_ 3"]]:
+def width_slopes_of(problem: Problem, vector: Entries) -> list[Float[np.ndarray, "_ 3"]]:
     """By how much each used sample changes with a width of air, lit or dark, whichever is more."""
-    return _by_photo(columns, samples, lambda tiles: _width_slopes(vector, samples, model, tiles))
+    samples, model = problem.samples, problem.model
+    return _by_photo(problem, lambda tiles: _width_slopes(vector, samples, model, tiles))
 
 
 def _by_photo(
-    columns: Sequence[Columns], samples: Samples, of_tiles: Callable[[np.ndarray], jax.Array]
+    problem: Problem, of_tiles: Callable[[np.ndarray], jax.Array]
 ) -> list[Float[np.ndarray, "_ 3"]]:
     """What is computed tile by tile, [tiles, 3, n], in the order of each photo's columns."""
-    found = [np.empty_like(c.light) for c in columns]
-    starts = [0] * len(columns)
+    samples = problem.samples
+    found = [np.empty_like(c.light) for c in problem.columns]
+    starts = [0] * len(found)
     count, photo = np.asarray(samples.count), np.asarray(samples.photo)
     with float64():
         for filled, numbers in tile_groups(samples):
@@ -70,6 +65,12 @@ def _by_photo(
                 found[which][starts[which] : starts[which] + n] = values[k, :, :n].T
                 starts[which] += n
     return found
+
+
+def square_sum_of(values: Float[np.ndarray, " n"]) -> tuple[int, float]:
+    """Number and square sum of what is no NaN."""
+    known = values[np.isfinite(values)].astype(np.float64)
+    return len(known), float(known @ known)
 
 
 def tile_groups(samples: Samples) -> Iterator[tuple[int, np.ndarray]]:

@@ -29,10 +29,10 @@ from jaxtyping import Float
 from model_jax._shapes import AnyArray
 
 from .._compile import float64, program
-from ..photo._pixels import Columns, block_numbers
+from ..photo._pixels import block_numbers
 from ..solve._loss import weigh
 from ..solve._model import Model, tile_slopes
-from ..solve._parameters import Entries
+from ..solve._problem import Point
 from ..solve._samples import Samples, tile_at
 from ._autocorrelation import LAGS, correlation
 from ._residuals import tile_groups
@@ -110,12 +110,8 @@ def reach_95(freedom: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
 
 
 def spread_of(
-    columns: Sequence[Columns],
+    point: Point,
     sizes: Sequence[tuple[int, int]],
-    samples: Samples,
-    model: Model,
-    vector: Entries,
-    along: Float[np.ndarray, "e p"],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
     noise: float,
     rounding: float,
@@ -129,7 +125,8 @@ def spread_of(
         rounding: noise that there is at least, also where the model meets every sample: no value is
             known better than numbers are.
     """
-    p = along.shape[1]
+    columns, prior_of = point.problem.columns, point.problem.model.prior
+    p = point.along.shape[1]
     length, area, products = correlation(columns, sizes, residuals)
     unit = LEAST_BLOCK
     side = unit * int(np.ceil(max(LENGTHS * length, unit) / unit)) if length > 1 else unit
@@ -141,10 +138,10 @@ def spread_of(
         if blocks >= max(FEWEST_BLOCKS, 3 * p) or side <= unit or side - unit < length:
             break
         side -= unit
-    scores, squares, hessian = _block_sums(samples, model, vector, along, numbers)
+    scores, squares, hessian = _block_sums(point, numbers)
     prior = np.zeros((p, p))
-    if model.prior is not None:
-        prior = (along.T * np.asarray(model.prior.weight)) @ along
+    if prior_of is not None:
+        prior = (point.along.T * np.asarray(prior_of.weight)) @ point.along
         hessian = hessian + prior
     whiten = inverse_root(squares.sum(axis=0) + prior)
     leverage = whiten.T @ squares @ whiten
@@ -158,16 +155,14 @@ def spread_of(
 
 
 def _block_sums(
-    samples: Samples,
-    model: Model,
-    vector: Entries,
-    along: Float[np.ndarray, "e p"],
-    blocks: Sequence[np.ndarray],
+    point: Point, blocks: Sequence[np.ndarray]
 ) -> tuple[
     Float[np.ndarray, "blocks p"], Float[np.ndarray, "blocks p p"], Float[np.ndarray, "p p"]
 ]:
     """Sums over each block of scores and of squares of slopes, and half the second derivative of
     all, without priors."""
+    vector, along = point.vector, point.along
+    samples, model = point.problem.samples, point.problem.model
     p = along.shape[1]
     pairs = np.tril_indices(p)
     counts = [int(numbers.max(initial=-1)) + 1 for numbers in blocks]

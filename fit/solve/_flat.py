@@ -6,20 +6,15 @@ take part and by what of them is told after all: their product, their ratio, the
 is told last in order is held.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from ._parameters import BRIGHTNESS, Entries, Parameter
+from ._problem import Point, Problem
 from ._samples import TILE
-
-if TYPE_CHECKING:
-    from ._problem import Problem
 
 TAKES_PART = 0.1
 """Share of a flat direction, in units of the scaled columns, from which a parameter is named."""
@@ -41,14 +36,12 @@ class Flat:
 
 
 def find_flat(
-    problem: Problem,
-    vector: Entries,
-    free: Sequence[Parameter],
+    point: Point,
     gram: Float[np.ndarray, "q q"],
-    along: Float[np.ndarray, "e p"],
     moved: Sequence[tuple[Parameter, ...]],
 ) -> Flat | None:
     """The flattest direction, if rounding explains what is left of it; None if all is told."""
+    vector = point.vector
     curved = gram[:-1, :-1]
     size = np.sqrt(np.maximum(np.diag(curved), 0))
     for column, parameters in enumerate(moved):
@@ -58,12 +51,12 @@ def find_flat(
         return None
     scaled = curved / size / size[:, None]
     values, vectors = np.linalg.eigh(scaled)
-    if values[0] > _threshold(problem) ** 2:
+    if values[0] > _threshold(point.problem) ** 2:
         return None
     part = vectors[:, 0]
     members = [int(j) for j in np.flatnonzero(np.abs(part) > TAKES_PART)]
     last = moved[members[-1]]
-    return Flat(last, _words(vector, along, part / size, members, moved))
+    return Flat(last, _words(vector, part / size, members, moved))
 
 
 def _threshold(problem: Problem) -> float:
@@ -83,7 +76,6 @@ def _no_effect(vector: Entries, parameter: Parameter) -> str:
 
 def _words(
     vector: Entries,
-    along: Float[np.ndarray, "e p"],
     step: Float[np.ndarray, " p"],
     members: Sequence[int],
     moved: Sequence[tuple[Parameter, ...]],

@@ -1,13 +1,14 @@
 """Exact Gauss–Newton steps over all samples, and whether an end point needs another."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from ._descend import FINISH, descend, make_solver
 from ._parameters import Entries, Parameter, chart, directions, is_outside, settle_tint
-from ._problem import Problem
+from ._problem import Point, Problem
 
 CHECK = 1e-6
 """How far, as a share of the variance of one sample, the square sum at the end may lie above what a
@@ -20,6 +21,7 @@ _FINISH_STEPS = 8
 def put_inside(
     vector: Entries, free: Sequence[Parameter], parameters: Sequence[Parameter]
 ) -> Entries:
+    """The vector with free parameters clipped to their bounds."""
     clipped = vector.copy()
     for p in free:
         clipped[list(p.entries)] = np.clip(p.of(vector), p.lower, p.upper)
@@ -37,30 +39,27 @@ def finish(
     Returns the vector and the exact pass there, along `directions(free)`.
     """
     along, _ = directions(free, problem.parameters)
-    gram = problem.gram(vector, along)
+    point = Point(problem, vector, along)
+    gram = point.gram()
     if not along.shape[1]:
         return vector, gram
-    vector, gram = _steps(problem, vector, gram, free, along)
+    point, gram = _steps(point, gram, free)
     solver = make_solver("gauss_newton", FINISH)
     for _ in range(_FINISHES):
-        if _is_done(problem, gram, along):
+        if _is_done(problem, gram):
             break
-        near = chart(vector, free, problem.parameters)
+        near = chart(point.vector, free, problem.parameters)
         descent = descend(near, problem.samples, problem.model, solver, _FINISH_STEPS)
         if not descent.finite or not descent.history[-1] < gram[-1, -1]:
             break
-        vector = descent.entries
-        vector, gram = _steps(problem, vector, problem.gram(vector, along), free, along)
-    return vector, gram
+        point = replace(point, vector=descent.entries)
+        point, gram = _steps(point, point.gram(), free)
+    return point.vector, gram
 
 
 def _steps(
-    problem: Problem,
-    vector: Entries,
-    gram: Float[np.ndarray, "q q"],
-    free: Sequence[Parameter],
-    along: Float[np.ndarray, "e p"],
-) -> tuple[Entries, Float[np.ndarray, "q q"]]:
+    point: Point, gram: Float[np.ndarray, "q q"], free: Sequence[Parameter]
+) -> tuple[Point, Float[np.ndarray, "q q"]]:
     """Plain steps until the gradient is at its own rounding, or they keep no promise; and the pass
     where they end.
 
@@ -71,22 +70,22 @@ def _steps(
     promise = _promise(gram)
     for _ in range(_FINISH_STEPS):
         square_sum = float(gram[-1, -1])
-        if not (64 * eps) ** 2 * square_sum + eps * problem.rounding < promise < np.inf:
+        if not (64 * eps) ** 2 * square_sum + eps * point.problem.rounding < promise < np.inf:
             break
-        tried = vector - along @ gauss_newton(gram)
-        if not np.isfinite(tried).all() or is_outside(tried, free):
+        tried = point.moved(-gauss_newton(gram))
+        if not np.isfinite(tried.vector).all() or is_outside(tried.vector, free):
             break
-        after = problem.gram(tried, along)
+        after = tried.gram()
         left = _promise(after)
         if not (after[-1, -1] <= (1 + 4 * eps) * square_sum and left < promise):
             break
-        vector, gram, promise = tried, after, left
-    return vector, gram
+        point, gram, promise = tried, after, left
+    return point, gram
 
 
-def _is_done(problem: Problem, gram: np.ndarray, along: np.ndarray) -> bool:
+def _is_done(problem: Problem, gram: np.ndarray) -> bool:
     """A hundredth of the accuracy that is checked in the end, in the square sum."""
-    room = 1e-2 * CHECK * sample_variance(problem, gram, along) + problem.rounding / 4
+    room = 1e-2 * CHECK * sample_variance(problem, gram) + problem.rounding / 4
     return bool(_promise(gram) <= room)
 
 
@@ -103,10 +102,11 @@ def gauss_newton(gram: Float[np.ndarray, "q q"]) -> Float[np.ndarray, " p"]:
     return np.asarray(np.linalg.lstsq(scaled, gram[:-1, -1] / size, rcond=1e-14)[0] / size)
 
 
-def is_settled(problem: Problem, gram: np.ndarray, along: np.ndarray) -> bool:
+def is_settled(problem: Problem, gram: np.ndarray) -> bool:
     """The check of the end point: no step would make the square sum smaller by what counts."""
-    return bool(_promise(gram) <= CHECK * sample_variance(problem, gram, along) + problem.rounding)
+    return bool(_promise(gram) <= CHECK * sample_variance(problem, gram) + problem.rounding)
 
 
-def sample_variance(problem: Problem, gram: np.ndarray, along: np.ndarray) -> float:
-    return float(gram[-1, -1]) / max(problem.count - along.shape[1], 1)
+def sample_variance(problem: Problem, gram: np.ndarray) -> float:
+    """What is left of the square sum for each sample that no direction has used up."""
+    return float(gram[-1, -1]) / max(problem.count - (len(gram) - 1), 1)

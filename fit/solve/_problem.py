@@ -1,6 +1,8 @@
-"""What a search works on: samples, parameters and model, and few pseudo-pixels for them."""
+"""What a search works on: samples, parameters and model; and a point in it, with its ways on."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,7 @@ from ._descend import exact_gram
 from ._model import Model
 from ._parameters import Entries, Parameter
 from ._reduce import THIN, bins, moments, thinned
-from ._samples import Samples
+from ._samples import Samples, on_device, to_samples
 
 
 @dataclass(frozen=True)
@@ -21,15 +23,39 @@ class Problem:
 
     columns: tuple[Columns, ...]
     samples: Samples
-    """All of `columns`, on the device."""
-    few: Samples
-    """What stands for all until the exact steps: as few pseudo-pixels as serve."""
+    """All of `columns`, on the device; or the few that stand for them."""
     parameters: tuple[Parameter, ...]
     model: Model
-    count: int
-    """Measured samples, three to a pixel; without clipped ones and copies."""
-    light_max: float
-    """Largest |light|."""
+    is_rough: bool = False
+    """`samples` are the few already."""
+
+    @cached_property
+    def few(self) -> Samples:
+        """What stands for all until the exact steps: as few pseudo-pixels as serve."""
+        columns, samples, plain = self.columns, self.samples, self.model.loss.name == "linear"
+        if self.is_rough:
+            return samples
+        with float64():
+            if plain and samples.clipped is None and self.model.linear:
+                return moments(samples)
+            if plain and samples.surface is None:
+                if samples.clipped is None:
+                    columns = tuple(replace(c, clipped=None) for c in columns)
+                return bins(columns)
+            if sum(len(c.lit) for c in columns) > 2 * THIN:
+                return thinned(columns)
+            return samples
+
+    @cached_property
+    def count(self) -> int:
+        """Measured samples, three to a pixel; without clipped ones and copies."""
+        clipped = sum(int((c.clipped != 0).sum()) for c in self.columns if c.clipped is not None)
+        return sum((3 - len(c.copies)) * len(c.lit) for c in self.columns) - clipped
+
+    @cached_property
+    def light_max(self) -> float:
+        """Largest |light|."""
+        return max(_largest(c.light) for c in self.columns)
 
     @property
     def plain(self) -> bool:
@@ -41,13 +67,13 @@ class Problem:
         """Square sum that float64 makes of nothing: an eps of the brightest for each sample."""
         return self.count * (np.finfo(np.float64).eps * self.light_max) ** 2
 
-    def with_model(self, model: Model) -> "Problem":
-        """The same samples, another loss."""
-        return replace(self, model=model, few=_few(self.columns, self.samples, model))
-
     def rough(self) -> "Problem":
         """The few in place of all: for answers that are asked again."""
-        return replace(self, samples=self.few)
+        return replace(self, samples=self.few, is_rough=True)
+
+    def beside(self, columns: Sequence[Columns]) -> "Problem":
+        """The same look and model seen by other pixels."""
+        return replace(self, columns=tuple(columns), samples=on_device(to_samples(columns)))
 
     def gram(self, vector: Entries, along: Float[np.ndarray, "e p"]) -> Float[np.ndarray, "q q"]:
         """The exact pass over all samples."""
@@ -61,39 +87,24 @@ class Problem:
         return float(self.gram(vector, np.zeros((len(vector), 0)))[-1, -1])
 
 
-def state(
-    columns: tuple[Columns, ...],
-    samples: Samples,
-    parameters: tuple[Parameter, ...],
-    model: Model,
-) -> Problem:
-    """The problem of some columns, which `samples` holds on the device."""
-    clipped = sum(int((c.clipped != 0).sum()) for c in columns if c.clipped is not None)
-    measured = sum((3 - len(c.copies)) * len(c.lit) for c in columns)
-    return Problem(
-        columns=columns,
-        samples=samples,
-        few=_few(columns, samples, model),
-        parameters=parameters,
-        model=model,
-        count=measured - clipped,
-        light_max=max(_largest(c.light) for c in columns),
-    )
+@dataclass(frozen=True)
+class Point:
+    """A vector in a problem, and the directions that lead on from it."""
+
+    problem: Problem
+    vector: Entries
+    along: Float[np.ndarray, "e p"]
+    """Of the free parameters (`directions`)."""
+
+    def moved(self, step: Float[np.ndarray, " p"]) -> "Point":
+        """The point a step along the directions away."""
+        return replace(self, vector=self.vector + self.along @ step)
+
+    def gram(self) -> Float[np.ndarray, "q q"]:
+        """The exact pass here."""
+        return self.problem.gram(self.vector, self.along)
 
 
 def _largest(values: np.ndarray) -> float:
     """Largest absolute value; 0 of none."""
     return max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
-
-
-def _few(columns: tuple[Columns, ...], samples: Samples, model: Model) -> Samples:
-    with float64():
-        if model.loss.name == "linear" and samples.clipped is None and model.linear:
-            return moments(samples)
-        if model.loss.name == "linear" and samples.surface is None:
-            if samples.clipped is None:
-                columns = tuple(replace(c, clipped=None) for c in columns)
-            return bins(columns)
-        if sum(len(c.lit) for c in columns) > 2 * THIN:
-            return thinned(columns)
-        return samples

@@ -22,7 +22,7 @@ from ._flat import Flat, find_flat
 from ._opinion import second_opinion
 from ._parameters import Entries, Parameter, chart, directions, is_outside, settle_tint
 from ._polish import CHECK, finish, is_settled, put_inside, sample_variance
-from ._problem import Problem
+from ._problem import Point, Problem
 from ._samples import Samples
 from ._start import starts
 
@@ -58,7 +58,7 @@ class End:
         return float(self.gram[-1, -1])
 
 
-def search(
+def search(  # long: one loop, and each of its branches changes what the next round holds
     problem: Problem,
     start: Entries,
     asked: Sequence[Parameter],
@@ -93,7 +93,7 @@ def search(
         along, moved = directions(free, parameters)
         if not np.isfinite(gram).all():
             return _diverged(vector, free, at_bound, flat, first)
-        found = find_flat(problem, vector, free, gram, along, moved)
+        found = find_flat(Point(problem, vector, along), gram, moved)
         if found is not None:
             flat.append(found)
             gone = {p.name for p in found.held}
@@ -101,7 +101,7 @@ def search(
             held = settle_tint(_restored(vector, start, found.held, parameters), free, parameters)
             candidates = None
             continue
-        margin = 1e-2 * CHECK * sample_variance(problem, gram, along) + problem.rounding
+        margin = 1e-2 * CHECK * sample_variance(problem, gram) + problem.rounding
         near = [p for p in free if p.name not in inside and _is_near_bound(p, vector)]
         if near:
             beyond = is_outside(vector, near)
@@ -137,7 +137,7 @@ def search(
         at_bound=tuple(at_bound),
         flat=tuple(flat),
         finite=True,
-        settled=is_settled(problem, gram, along) and second != "lower",
+        settled=is_settled(problem, gram) and second != "lower",
         gram=gram,
         history=first.history,
         steps=first.steps,

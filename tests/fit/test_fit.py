@@ -160,13 +160,12 @@ def test_the_end_is_judged_by_what_a_step_promises(
     The exact steps at the end save every solver on a linear model, so the check is made by hand.
     """
     result = fit(noisy, layers64, START)
-    problem, end, along = (getattr(result.evidence, n) for n in ("problem", "end", "along"))
+    point, end = result.evidence.point, result.evidence.end
     curved = end.gram[:-1, :-1]
-    variance = end.square_sum / (problem.count - len(curved))
+    variance = end.square_sum / (point.problem.count - len(curved))
     step = np.zeros(len(curved))
     step[0] = np.sqrt(promise * CHECK * variance / curved[0, 0])
-    gram = problem.gram(end.vector + along @ step, along)
-    assert is_settled(problem, gram, along) == (promise < 1)
+    assert is_settled(point.problem, point.moved(step).gram()) == (promise < 1)
 
 
 @pytest.mark.full

@@ -242,4 +242,4 @@ def test_verdicts_of_bad_ends(layers: Layers, photo: np.ndarray) -> None:
     bound = replace(end, at_bound=end.free[:1])
     assert _verdict(task, bound).label == "at_bound"
     assert _verdict(task, replace(bound, settled=False)).label == "not_converged"
-    assert not is_settled(problem, np.full_like(end.gram, np.nan), result.evidence.along)
+    assert not is_settled(problem, np.full_like(end.gram, np.nan))
