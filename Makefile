@@ -24,7 +24,7 @@ test-full: $(ready) ## Run the tests and the full sweep, compiled as users compi
 lint: $(ready) ## Check style, formatting, lengths and which file imports which
 	$(bin)/ruff check
 	$(bin)/ruff format --check
-	$(bin)/python .ci/lengths.py model_jax render_gl fit
+	$(bin)/python .ci/lengths.py model_jax render_gl fit airlight
 	$(bin)/lint-imports --no-logo --no-cache
 
 types: $(ready) ## Check types

@@ -12,7 +12,7 @@ LossName = Literal["linear", "huber", "soft_l1", "cauchy"]
 LOSSES: tuple[LossName, ...] = get_args(LossName)
 """As in SciPy's `least_squares`; "linear" is plain least squares."""
 
-SolverName = Literal["lm", "dogleg", "gauss_newton", "bfgs", "lbfgs", "nelder_mead"]
+SolverName = Literal["lm", "dogleg", "bfgs"]
 SOLVERS: tuple[SolverName, ...] = get_args(SolverName)
 """Of optimistix."""
 

@@ -5,8 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import Response
-
 from ._result import Estimate, PhotoResult
 from ._verdict import MOST_CLIPPED, STRUCTURED_PX
 from .diagnose._compression import Undone, undo_compression
@@ -17,7 +15,7 @@ from .diagnose._residuals import width_slopes_of
 from .photo._camera import is_coarse
 from .photo._photo import Photo
 from .photo._pixels import Columns, PhotoLike, Pixels, grey_spread
-from .solve._parameters import TINT, Entries, Parameter
+from .solve._parameters import TINT, Entries, Parameter, to_responses
 from .solve._problem import Problem
 from .solve._search import End
 from .solve._task import Task
@@ -102,9 +100,7 @@ def _shifted(evidence: Evidence, steps: Sequence[np.ndarray | None]) -> list[flo
     return [float(b) for b in bound]
 
 
-def undo_jpeg(
-    evidence: Evidence, residuals: Sequence[Float[np.ndarray, "_ 3"]], noise: float
-) -> Undone | str:
+def undo_jpeg(evidence: Evidence, residuals: Sequence[Float[np.ndarray, "_ 3"]]) -> Undone | str:
     """The look before JPEG, or why it is not known."""
     task, problem, end = evidence.task, evidence.problem, evidence.end
     lossy = [p for p in task.photos if isinstance(p, Photo) and p.lossy]
@@ -127,7 +123,7 @@ def undo_jpeg(
         evidence.spread.covariance,
         residuals,
         evidence.spread.area,
-        noise,
+        evidence.noise,
         evidence.spread.correlation_px > STRUCTURED_PX,
     )
 
@@ -136,13 +132,13 @@ def photo_results(
     task: Task,
     problem: Problem,
     end: End,
-    responses: Sequence[Response],
     pixels: Sequence[Pixels],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
 ) -> list[PhotoResult]:
+    """What each photo says of the end point."""
     found = []
     for c, px, layers, residual, response in zip(
-        problem.columns, pixels, task.layers, residuals, responses, strict=True
+        problem.columns, pixels, task.layers, residuals, to_responses(end.vector), strict=True
     ):
         sums = [square_sum_of(channel) for channel in residual.T]
         count, square_sum = sum(n for n, _ in sums), sum(square for _, square in sums)

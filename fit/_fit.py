@@ -20,20 +20,22 @@ from model_jax._shapes import is_traced
 
 from ._choices import check_jpeg, check_loss, check_sampling, check_steps
 from ._compile import float64
-from ._judge import judge, with_warnings, without_data
+from ._estimates import photo_results, undo_jpeg
+from ._judge import evidence_of, judge, with_warnings, without_data
 from ._memory import bound_programs, give_back
 from ._result import FitResult
 from ._rounds import make_problem, search_in_rounds
 from ._traced import TracedFit, concrete, fit_traced
 from .diagnose._remarks import leave_out, pixel_remarks, why_airless, why_no_data
+from .diagnose._residuals import residuals_of
 from .photo._photo import Photo
 from .photo._pixels import PhotoLike, choose_pixels, take_columns
 from .solve._declare import declare, links, pairs
 from .solve._descend import make_solver
 from .solve._task import Task
 
-MAX_STEPS = {"nelder_mead": 4096}
-"""Steps a solver is given unless told; 256 for those with derivatives."""
+MAX_STEPS = 256
+"""Steps a solver is given unless told."""
 
 LARGE = 2**21
 """Samples from which on memory is counted."""
@@ -121,7 +123,7 @@ def fit(
             and a supersampled picture's do: pixels on edges are left out, and intervals hold what
             the bend of the light does in the others. "point" if they show the light in their
             middles, as in a render without antialiasing: every pixel of air is used.
-        solver: lm, dogleg, gauss_newton, bfgs, lbfgs or nelder_mead, of optimistix.
+        solver: lm, dogleg or bfgs, of optimistix.
         max_steps: of the solver, for each of the few descents.
 
     Returns:
@@ -150,7 +152,7 @@ def fit(
         parameters = declare(look, responses, free=free, bounds=bounds, priors=priors, tied=tied)
         loss_name, handling, sampled = check_loss(loss), check_jpeg(jpeg), check_sampling(sampling)
         make_solver(solver)
-        steps = MAX_STEPS.get(solver, 256) if max_steps is None else max_steps
+        steps = MAX_STEPS if max_steps is None else max_steps
         named = free is not None
         task = Task(
             photos, all_layers, look, parameters, loss_name, handling, sampled, solver, steps, named
@@ -207,11 +209,17 @@ def _fit(task: Task) -> FitResult:
     if problem.count > LARGE:
         give_back()  # what compiling left behind
     times.append(perf_counter())
-    result = judge(task, problem, end, pixels, [*pixel_remarks(pixels), *left_out])
-    airless = why_airless(task, pixels, columns, result)
+    residuals = residuals_of(problem, end.vector)
+    evidence = evidence_of(task, problem, end, residuals)
+    photos = photo_results(task, problem, end, pixels, residuals)
+    airless = why_airless(task, pixels, columns, evidence, photos)
     if all(airless):
         result = without_data(str(airless[0]), task, pixels, columns, left_out)
     else:
+        # Last, for it takes seconds, and nothing else asks what JPEG did.
+        undone = undo_jpeg(evidence, residuals) if evidence and task.jpeg == "undo" else None
+        left_out = [*pixel_remarks(pixels), *left_out]
+        result = judge(task, end, evidence, photos, residuals, undone, left_out)
         result = with_warnings(
             result,
             [

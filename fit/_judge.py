@@ -11,9 +11,7 @@ from ._estimates import (
     estimate,
     grey_variance,
     layer_errors,
-    photo_results,
     rounding_bias,
-    undo_jpeg,
 )
 from ._result import Errors, Estimate, FitResult, LeftOut, Misfit, PhotoResult
 from ._rounds import ROUNDING, noise_of
@@ -21,7 +19,6 @@ from ._verdict import VERDICTS, Verdict
 from .diagnose._compression import Undone
 from .diagnose._evidence import Evidence
 from .diagnose._remarks import file_remarks, percent, warnings_of
-from .diagnose._residuals import residuals_of
 from .diagnose._spread import reach_95, spread_of
 from .photo._pixels import Columns, Pixels
 from .solve._parameters import (
@@ -47,18 +44,39 @@ def with_warnings(result: FitResult, warnings: Sequence[str]) -> FitResult:
     )
 
 
+def evidence_of(
+    task: Task, problem: Problem, end: End, residuals: Sequence[Float[np.ndarray, "_ 3"]]
+) -> Evidence | None:
+    """What the end point rests on; None where there is none."""
+    if not end.finite:
+        return None
+    point = Point(problem, end.vector, directions(end.free, task.parameters)[0])
+    noise = noise_of(task, problem, end, residuals)
+    spread = spread_of(point, task.sizes, residuals, noise, ROUNDING * problem.light_max)
+    return Evidence(task, end, point, tuple(_told(task, end)), spread, noise)
+
+
 def judge(
     task: Task,
-    problem: Problem,
     end: End,
-    pixels: Sequence[Pixels],
-    left_out: list[LeftOut],
+    evidence: Evidence | None,
+    photos: Sequence[PhotoResult],
+    residuals: Sequence[Float[np.ndarray, "_ 3"]],
+    undone: Undone | str | None,
+    left_out: Sequence[LeftOut],
 ) -> FitResult:
-    """Errors and verdict at the end point."""
-    residuals = residuals_of(problem, end.vector)
-    worth = _worth(task, problem, end, residuals)
+    """Values, errors and verdict.
+
+    Args:
+        residuals: at the end point, by `residuals_of`.
+        undone: what JPEG did, or why that is not known; None where nobody asked.
+        left_out: what was left out so far.
+    """
+    worth = _Worth(end.vector)
+    if evidence is not None:
+        worth = _worth(evidence, residuals, undone if isinstance(undone, Undone) else None)
     names = [p.name for p in worth.told]
-    photos = photo_results(task, problem, end, to_responses(worth.vector), pixels, residuals)
+    more = [LeftOut("what JPEG did", undone)] if isinstance(undone, str) else []
     held = [
         LeftOut(p.name, f"{flat.why}; held at its start value")
         for flat in end.flat
@@ -73,16 +91,19 @@ def judge(
         correlation_names=tuple(names),
         correlation=worth.correlation,
         covariance=worth.covariance,
-        errors=worth.errors,
+        errors=None if evidence is None else _errors(evidence),
         look=to_look(worth.vector, task.look),
-        photos=tuple(photos),
-        left_out=(*left_out, *worth.left_out, *held),
+        photos=tuple(
+            replace(photo, response=response)
+            for photo, response in zip(photos, to_responses(worth.vector), strict=True)
+        ),
+        left_out=(*left_out, *more, *held),
         misfits=worth.misfits,
         loss=task.loss,
         solver=task.solver,
         history=end.history,
         second_opinion=end.second,
-        evidence=worth.evidence,
+        evidence=evidence,
     )
     message = _message(verdict, result, [p.name for p in end.at_bound])
     return with_warnings(replace(result, message=message), warnings_of(result, task, residuals))
@@ -102,9 +123,6 @@ class _Worth:
     drawn: Sequence[float | None] = ()
     undone: bool = False
     misfits: tuple[Misfit, ...] = ()
-    left_out: tuple[LeftOut, ...] = ()
-    errors: Errors | None = None
-    evidence: Evidence | None = None
 
     @property
     def stderr(self) -> Float[np.ndarray, " t"]:
@@ -120,31 +138,20 @@ class _Worth:
 
 
 def _worth(
-    task: Task, problem: Problem, end: End, residuals: Sequence[Float[np.ndarray, "_ 3"]]
+    evidence: Evidence, residuals: Sequence[Float[np.ndarray, "_ 3"]], undone: Undone | None
 ) -> _Worth:
     """Errors of what was told, widened by what is doubtful beside noise."""
-    if not end.finite:
-        return _Worth(end.vector)
-    told = tuple(_told(task, end))
-    point = Point(problem, end.vector, directions(end.free, task.parameters)[0])
-    noise = noise_of(task, problem, end, residuals)
-    spread = spread_of(point, task.sizes, residuals, noise, ROUNDING * problem.light_max)
-    evidence = Evidence(task, end, point, told, spread)
-    rows = evidence.rows
-    vector, along_free, freedom = end.vector, spread.covariance, spread.freedom(rows)
-    undone = undo_jpeg(evidence, residuals, noise) if task.jpeg == "undo" else None
-    left_out: tuple[LeftOut, ...] = ()
-    if isinstance(undone, str):
-        left_out = (LeftOut("what JPEG did", undone),)
-    elif undone is not None:
-        vector = point.moved(undone.shift).vector
-        along_free, freedom = undone.covariance, np.full(len(told), undone.freedom)
-    is_undone = isinstance(undone, Undone)
+    point, told, rows = evidence.point, evidence.told, evidence.rows
+    vector, along_free = point.vector, evidence.spread.covariance
+    freedom = evidence.spread.freedom(rows)
+    if undone is not None:
+        vector, along_free = point.moved(undone.shift).vector, undone.covariance
+        freedom = np.full(len(told), undone.freedom)
     # What compression leaves over is no other cause's.
-    doubts = doubts_of(evidence, residuals, look_for_causes=not is_undone)
+    doubts = doubts_of(evidence, residuals, look_for_causes=undone is None)
     covariance = rows @ along_free @ rows.T + doubts.covariance
-    if problem.samples.mix is not None:
-        covariance = covariance + np.diag(grey_variance(problem.columns, told, vector))
+    if point.problem.samples.mix is not None:
+        covariance = covariance + np.diag(grey_variance(point.problem.columns, told, vector))
     return _Worth(
         vector=vector,
         told=told,
@@ -152,17 +159,19 @@ def _worth(
         reach=reach_95(freedom),
         bias=rounding_bias(evidence),
         drawn=layer_errors(evidence),
-        undone=is_undone,
+        undone=undone is not None,
         misfits=doubts.misfits,
-        left_out=left_out,
-        errors=Errors(
-            noise=noise,
-            correlation_px=spread.correlation_px,
-            block_px=spread.block_px,
-            blocks=spread.blocks,
-            effective_samples=problem.count / spread.area,
-        ),
-        evidence=evidence,
+    )
+
+
+def _errors(evidence: Evidence) -> Errors:
+    spread = evidence.spread
+    return Errors(
+        noise=evidence.noise,
+        correlation_px=spread.correlation_px,
+        block_px=spread.block_px,
+        blocks=spread.blocks,
+        effective_samples=evidence.problem.count / spread.area,
     )
 
 

@@ -4,8 +4,9 @@ Nothing here computes: what is made on demand (`influence`, `weights`) is the ev
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -144,12 +145,16 @@ class Errors:
     """Samples that tell as much if they were independent."""
 
 
-class OnDemand(Protocol):
+class OnDemand(ABC):
     """What is computed from samples and end point when it is asked for (`diagnose._evidence`)."""
 
-    def influence(self, name: str) -> list[Float[np.ndarray, "_ _ 3"]]: ...
+    @abstractmethod
+    def influence(self, name: str) -> list[Float[np.ndarray, "_ _ 3"]]:
+        """`FitResult.influence` for all photos."""
 
-    def weights(self) -> list[Float[np.ndarray, "_ _"]]: ...
+    @abstractmethod
+    def weights(self) -> list[Float[np.ndarray, "_ _"]]:
+        """`FitResult.weights` for all photos."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,9 @@
 somebody's own renderer. What a scene does not need is absent (`None`), never zero-filled.
 """
 
+from dataclasses import replace
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +19,9 @@ from ._errors import InputError, shown
 from ._kinds import as_jax, need, need_array, need_number
 from ._safe import is_host
 from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar, Shadows, converter
+
+_MAPS = ("front", "back", "shadow_front", "shadow_back", "planet", "stretch", "width_error")
+"""Fields of `Layers` that end in rows and columns."""
 
 
 class Layers(eqx.Module):
@@ -81,22 +87,11 @@ class Layers(eqx.Module):
         """The layers of some rows of the picture."""
         need("band", band, slice)
 
-        def some(part: AnyArray | None) -> AnyArray | None:
-            return None if part is None else part[..., band, :]
-
-        return Layers(
-            self.front[band],
-            self.back[band],
-            some(self.shadow_front),
-            some(self.shadow_back),
-            None if self.surface is None else self.surface[band],
-            some(self.planet),
-            self.color,
-            self.reference,
-            self.width_unit,
-            some(self.stretch),
-            some(self.width_error),
-        )
+        maps = {name: getattr(self, name) for name in _MAPS}
+        some: dict[str, Any] = {
+            name: part[..., band, :] for name, part in maps.items() if part is not None
+        }
+        return replace(self, surface=None if self.surface is None else self.surface[band], **some)
 
     @property
     def has_air(self) -> Mask:

@@ -10,6 +10,7 @@ Files are no business of this module: `relief` and `albedo` only name what a ren
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -135,9 +136,7 @@ class Camera(eqx.Module):
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same view on another pixel grid; the vertical field of view stays."""
-        return Camera(
-            self.position, self.forward, self.up, self.fov_y_deg, width, height, self.near, self.far
-        )
+        return replace(self, width=width, height=height)
 
 
 class Planet(eqx.Module):
@@ -280,6 +279,10 @@ class Scene(eqx.Module):
                     f"camera.position: {_show(self.camera.position)} lies inside occluder {number} "
                     f"({distance:g} from its centre, radius {float(body.radius):g}); move it out"
                 )
+
+    def resized(self, width: int, height: int) -> "Scene":
+        """The same scene on another pixel grid; the vertical field of view stays."""
+        return replace(self, camera=self.camera.resized(width, height))
 
 
 def _require(name: str, value: Scalar, ok: object, rule: str) -> None:

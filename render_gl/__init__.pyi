@@ -15,6 +15,7 @@ from ._layers_file import write_layers as write_layers
 from ._layers_file import write_picture as write_picture
 from ._render import render as render
 from ._render import render_image as render_image
+from ._render import render_layers_and_image as render_layers_and_image
 from ._scene_file import PhotoSettings as PhotoSettings
 from ._scene_file import SceneFile as SceneFile
 from ._scene_file import load_scene as load_scene

@@ -14,6 +14,7 @@ far in the header or given by the caller.
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -141,15 +142,11 @@ def read_layers(
     unit = _number(path, header, "airlight.width_unit", 1.0)
     if unit <= 0:
         raise InputError(f"{path}: airlight.width_unit is {unit!r}; it must be above 0")
-    return Layers(
-        front=linear.front,
-        back=linear.back,
-        shadow_front=linear.shadow_front,
-        shadow_back=linear.shadow_back,
+    return replace(
+        linear,
         surface=surface,
         planet=channels.get("planet.A"),
         color=_color(path, header),
-        reference=linear.reference,
         width_unit=linear.width_unit if coding != "linear" else unit,
         stretch=channels.get("stretch.Y"),
         width_error=channels.get("width_error.Y"),

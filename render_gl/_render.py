@@ -32,10 +32,8 @@ def render(scene: Scene, depth_format: str = "auto", source: Source = "raster") 
     Raises:
         DriverError: no usable OpenGL. InputError: what cannot be drawn, by name.
     """
-    depth_format = choose_format(scene, depth_format).depth_format
-    layers = frame_layers(scene, draw(scene, Look(), depth_format, source), depth_format)
-    error = mesh_width_error(scene, source)
-    return layers if error is None else replace(layers, width_error=error)
+    stored = choose_format(scene, depth_format).depth_format
+    return _layers(scene, draw(scene, Look(), stored, source), stored, source)
 
 
 def render_image(
@@ -47,6 +45,27 @@ def render_image(
     1 in front of the planet, the air's where there is air, else 0. Raises as `render`.
     """
     frame = draw(scene, look, choose_format(scene, depth_format).depth_format, source)
+    return _picture(look, frame)
+
+
+def render_layers_and_image(
+    scene: Scene, look: Look, depth_format: str = "auto", source: Source = "raster"
+) -> tuple[Layers, Rgba]:
+    """What `render` and `render_image` return, of one drawing. Raises as `render`."""
+    stored = choose_format(scene, depth_format).depth_format
+    frame = draw(scene, look, stored, source)
+    return _layers(scene, frame, stored, source), _picture(look, frame)
+
+
+def _layers(scene: Scene, frame: Frame, depth_format: DepthFormat, source: Source) -> Layers:
+    """A frame's layers, with what the meshes in them may be off by."""
+    layers = frame_layers(scene, frame, depth_format)
+    error = mesh_width_error(scene, source)
+    return layers if error is None else replace(layers, width_error=error)
+
+
+def _picture(look: Look, frame: Frame) -> Rgba:
+    """Surface, air and background together, as the frame buffer adds them."""
     rgb = frame.air[..., :3] + np.asarray(look.background, np.float32)
     if frame.surface is not None:
         rgb += frame.surface
@@ -70,17 +89,11 @@ def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layer
         encoding=STORAGE[depth_format].encoding,
         reference=eye_center(scene)[2],
     )
-    layers = textures.linearize()
-    return Layers(
-        front=layers.front,
-        back=layers.back,
-        shadow_front=layers.shadow_front,
-        shadow_back=layers.shadow_back,
+    return replace(
+        textures.linearize(),
         surface=frame.surface,
         planet=frame.planet,
         color=scene.atmosphere.color,
-        reference=layers.reference,
-        width_unit=layers.width_unit,
         stretch=ray_stretch(scene).astype(np.float32)
         if scene.atmosphere.path == "distance"
         else None,

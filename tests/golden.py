@@ -70,12 +70,12 @@ def shot(layers: Layers, look: Look, response: Response | None = None, seed: int
 
 def paper() -> Document:
     file = load_scene(EXAMPLES / "paper.toml")
-    layers = exact_layers(resized(file.scene, 320, 256))
+    layers = exact_layers(file.scene.resized(320, 256))
     return told(fit(shot(layers, file.look), layers, START))
 
 
 def two_photos() -> Document:
-    layers = exact_layers(scene()), exact_layers(resized(scene(), 120, 96))
+    layers = exact_layers(scene()), exact_layers(scene().resized(120, 96))
     responses = Response(1.0, black_level=0.01), Response(2.5, black_level=-0.02)
     looks = [Look(3.0, 0.2, (0.8, 0.9, 1.3))] * 2
     photos = [
@@ -165,16 +165,12 @@ def digest(data: bytes | np.ndarray) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def resized(scene: Scene, width: int, height: int) -> Scene:
-    return eqx.tree_at(lambda s: s.camera, scene, scene.camera.resized(width, height))
-
-
 def relief() -> Document:
-    return drawn(resized(load_scene(EXAMPLES / "paper.toml").scene, 320, 256))
+    return drawn(load_scene(EXAMPLES / "paper.toml").scene.resized(320, 256))
 
 
 def meshes() -> Document:
-    return drawn(resized(load_scene(EXAMPLES / "reference.toml").scene, 240, 180), source="mesh")
+    return drawn(load_scene(EXAMPLES / "reference.toml").scene.resized(240, 180), source="mesh")
 
 
 def moons() -> Document:

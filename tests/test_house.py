@@ -10,7 +10,8 @@ import pytest
 
 from .data import REPOSITORY
 
-PACKAGES = ("model_jax", "render_gl", "fit")
+PACKAGES = ("model_jax", "render_gl", "fit", "airlight")
+FLOORS = "Floors: airlight, fit, render_gl, model_jax"
 LENGTHS = REPOSITORY / ".ci" / "lengths.py"
 
 
@@ -30,8 +31,13 @@ def house(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("file", "line", "contract"),
     [
-        ("model_jax/_look.py", "import render_gl", "Floors: fit, render_gl, model_jax"),
-        ("render_gl/_draw.py", "from fit import fit", "Floors: fit, render_gl, model_jax"),
+        ("model_jax/_look.py", "import render_gl", FLOORS),
+        (
+            "render_gl/_draw.py",
+            "from fit import fit",
+            FLOORS,
+        ),
+        ("fit/_fit.py", "import airlight", FLOORS),
         ("fit/solve/_model.py", "from ..report import _report", "Floors of fit"),
         ("fit/photo/_photo.py", "from ..solve import _model", "Floors of fit"),
         ("fit/diagnose/_spread.py", "from .. import _fit", "Floors of fit"),

@@ -26,9 +26,9 @@ def names(wheel: zipfile.ZipFile) -> set[str]:
 
 
 def test_each_package_is_there_with_its_types(names: set[str]) -> None:
-    for package in ("model_jax", "render_gl", "fit"):
+    for package in ("model_jax", "render_gl", "fit", "airlight"):
         assert {f"{package}/{n}" for n in ("__init__.py", "__init__.pyi", "py.typed")} <= names
-    assert "fit/templates/report.html" in names
+    assert "fit/report/templates/report.html" in names
     assert "render_gl/glsl/combine.glsl" in names
     assert not any(name.startswith("tests/") for name in names)
 

@@ -24,7 +24,7 @@ from .._choices import JpegHandling, LayerSource, LossName, Sampling, SolverName
 from ..report._export import Format, export_text, write_export
 from ..report._fitted import read_fit
 from . import _assignments as assignments
-from ._drawing import NOTHING_IN_VIEW, draw_picture, in_view, parse_size, resized, write_png
+from ._drawing import NOTHING_IN_VIEW, draw, in_view, parse_size, write_png
 from ._guard import check_devices, guard, tell
 from ._outputs import check_folder, prepare_folder, versions
 from ._progress import computing, console, say
@@ -106,18 +106,15 @@ def render(
     with computing() as step:
         import render_gl
 
-        from ._job import make_layers
-
         file = render_gl.load_scene(scene)
-        drawn = file.scene if pixels is None else resized(file.scene, *pixels)
+        drawn = file.scene if pixels is None else file.scene.resized(*pixels)
         if source != "analytic":
             choice = render_gl.choose_format(drawn, depth)
             depth_format = choice.depth_format
             facts |= {"depth": depth_format, "depth_error": choice.error, "reason": choice.reason}
             told += f", {depth_format} depths: {choice.reason}"
         step("drawing")
-        layers = make_layers(drawn, source, depth_format)
-        picture = draw_picture(drawn, layers, file.look, source, depth_format)
+        layers, picture = draw(drawn, file.look, source, depth_format)
         step("writing")
         if suffix == ".exr":
             render_gl.write_layers(out, layers, drawn, picture)

@@ -10,16 +10,22 @@ if TYPE_CHECKING:
     from model_jax import Layers, Look, Scene
 
 
-def draw_picture(
-    scene: "Scene", layers: "Layers", look: "Look", source: LayerSource, depth_format: str
-) -> Any:
-    """The picture by the source's own combine: JAX's for analytic, else the shader's."""
+def draw(
+    scene: "Scene", look: "Look", source: LayerSource, depth_format: str
+) -> "tuple[Layers, Any]":
+    """Layers, and the picture by their source's own combine: JAX's for analytic, else the shader's.
+
+    Drawn once.
+    """
     import render_gl
     from model_jax import composite
 
+    from ._job import make_layers
+
     if source == "analytic":
-        return composite(layers, look)
-    return render_gl.render_image(scene, look, depth_format, source)
+        layers = make_layers(scene, source, depth_format)
+        return layers, composite(layers, look)
+    return render_gl.render_layers_and_image(scene, look, depth_format, source)
 
 
 NOTHING_IN_VIEW = (
@@ -39,13 +45,6 @@ def parse_size(text: str) -> tuple[int, int]:
     if not (cross and width.isdecimal() and height.isdecimal() and len(text) < 20):
         raise InputError(f"--size {text}: must be WIDTHxHEIGHT in pixels, such as 640x480")
     return int(width), int(height)
-
-
-def resized(scene: "Scene", width: int, height: int) -> "Scene":
-    from model_jax import Scene
-
-    camera = scene.camera.resized(width, height)
-    return Scene(camera, scene.planet, scene.atmosphere, scene.sun, scene.occluders)
 
 
 def write_png(out: str, picture: Any) -> None:

@@ -33,6 +33,7 @@ from .._fit import fit
 from .._memory import give_back, map_large_blocks
 from .._result import FitResult
 from ..photo._read import load_photo
+from ..report._fitted import SCHEMA
 from ..report._report import report_html
 from ..solve._declare import declare
 from ..solve._parameters import to_entries, to_look, to_responses
@@ -220,9 +221,7 @@ def _at_photo_size(scene: Scene, width: int, height: int, photo: str) -> Scene:
         )
     if (camera.width, camera.height) == (width, height):
         return scene
-    return Scene(
-        camera.resized(width, height), scene.planet, scene.atmosphere, scene.sun, scene.occluders
-    )
+    return scene.resized(width, height)
 
 
 def _document(
@@ -232,13 +231,13 @@ def _document(
     result: FitResult,
     seconds: dict[str, float],
 ) -> dict[str, Any]:
-    """The contents of fit.json, schema 2; what it says of a photo at the top is of the first."""
+    """The contents of fit.json; what it says of a photo at the top is of the first."""
     drawn = bool(job.scenes) and job.source != "analytic"
     made = result.to_dict()
     about = [_about(view, seen) for view, seen in zip(views, layers, strict=True)]
     photos = [facts | told for facts, told in zip(about, made["photos"], strict=True)]
     return {
-        "schema": 2,
+        "schema": SCHEMA,
         **about[0],
         "layers": None if job.layers is None else path_text(job.layers),
         "source": job.source if job.scenes else "file",

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from model_jax._shapes import AnyArray
 
 from .._compile import float64, program
+from .._result import OnDemand
 from ..solve._loss import Loss, weigh
 from ..solve._parameters import Parameter
 from ..solve._problem import Point, Problem
@@ -26,7 +27,7 @@ that of four standard deviations of the noise."""
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Evidence(OnDemand):
     """Samples and end point, for what a result computes on demand."""
 
     task: Task
@@ -35,6 +36,8 @@ class Evidence:
     """The end point, along `end.free`."""
     told: tuple[Parameter, ...]
     spread: Spread
+    noise: float
+    """Standard deviation of a sample."""
 
     @property
     def problem(self) -> Problem:
@@ -47,12 +50,10 @@ class Evidence:
         return np.array(rows).reshape(len(self.told), self.point.along.shape[1])
 
     def influence(self, name: str) -> list[Float[np.ndarray, "_ _ 3"]]:
-        """`FitResult.influence` for all photos."""
         row = self.rows[[p.name for p in self.told].index(name)]
         return influence_maps(self.point, self.task.sizes, row, self.spread.hessian)
 
     def weights(self) -> list[Float[np.ndarray, "_ _"]]:
-        """`FitResult.weights` for all photos."""
         found = []
         sizes = self.task.sizes
         residuals = residuals_of(self.problem, self.point.vector)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from model_jax import Layers
 
-from .._result import FitResult, LeftOut
+from .._result import FitResult, LeftOut, PhotoResult
 from .._verdict import STRUCTURED_PX, WELL_EXPLAINED
 from ..photo._photo import Photo
 from ..photo._pixels import Columns, Pixels, as_picture, light_at, take_columns
@@ -101,7 +101,11 @@ def _varies(columns: Columns) -> bool:
 
 
 def why_airless(
-    task: Task, pixels: Sequence[Pixels], columns: Sequence[Columns], result: FitResult
+    task: Task,
+    pixels: Sequence[Pixels],
+    columns: Sequence[Columns],
+    evidence: Evidence | None,
+    photos: Sequence[PhotoResult],
 ) -> list[str | None]:
     """Why each photo shows no air, or None.
 
@@ -118,7 +122,7 @@ def why_airless(
         take_columns(photo, layers, px.edges, unit)
         for photo, layers, px in zip(task.photos, task.layers, pixels, strict=True)
     ]
-    shares = zip(result.photos, _shares(beside, result), strict=True)
+    shares = zip(photos, _shares(beside, evidence), strict=True)
     for number, (one, of_edges) in enumerate(shares):
         photo, layers = task.photos[number], task.layers[number]
         enough = NO_BARE_LIMB if layers.surface is None else WELL_EXPLAINED
@@ -136,19 +140,19 @@ def why_airless(
                 full.reshape(-1)[part.index] = getattr(part, of)
             widths.append(full)
         used = pixels[number].used | pixels[number].edges
-        if task.loss != "linear":
-            used &= ~(result.weights(number) <= BELIEVED)
-        evidence = find_air(
+        if task.loss != "linear" and evidence is not None:
+            used &= ~(evidence.weights()[number] <= BELIEVED)
+        air = find_air(
             photo if isinstance(photo, Photo) else as_picture(photo),
             np.asarray(layers.planet) != 0,
             used,
             widths,
         )
-        if not evidence.has_air:
+        if not air.has_air:
             found[number] = (
                 "no atmosphere shows: the planet's bare limb, blurred by "
-                f"{evidence.bare.blur_px:.1f} px, explains the light beyond it as well "
-                f"(the shell's ΔBIC is {evidence.delta_bic:.0f}, needed are more than "
+                f"{air.bare.blur_px:.1f} px, explains the light beyond it as well "
+                f"(the shell's ΔBIC is {air.delta_bic:.0f}, needed are more than "
                 f"{EVIDENCE:.0f})"
             )
     return found
@@ -159,10 +163,9 @@ def _shows_planet(layers: Layers) -> bool:
     return layers.planet is not None and bool(np.any(layers.planet))
 
 
-def _shares(columns: Sequence[Columns], result: FitResult) -> list[list[float | None]]:
+def _shares(columns: Sequence[Columns], evidence: Evidence | None) -> list[list[float | None]]:
     """What a fit explains of the light of other pixels; nothing is said of none."""
-    evidence = result.evidence
-    if not isinstance(evidence, Evidence) or not any(len(c.index) for c in columns):
+    if evidence is None or not any(len(c.index) for c in columns):
         return [[] for _ in columns]
     left = residuals_of(evidence.problem.beside(columns), evidence.point.vector)
     loss = evidence.problem.model.loss

@@ -3,9 +3,9 @@
     fit.json ──read_fit──> Fitted ──export_text──> text
 
 The look is what a shader needs, with the air's colour, the lengths that it refers to and the
-warnings of the fit. The camera's response (exposure, gamma, black level of each photo)
-says what a photo made of the light and is no part of it; it is written beside it and marked so, as
-is every parameter whose name this version does not know. Nothing here computes a fit or draws.
+warnings of the fit. The camera's response (exposure, gamma, black level of each photo) says what a
+photo made of the light and is no part of it; it is written beside it and marked so. Nothing here
+computes a fit or draws.
 """
 
 import csv
@@ -27,7 +27,7 @@ from render_gl._files import PathLike, write_whole
 
 from .._numbers import share
 from .._verdict import Verdict
-from ._fitted import CHANNELS, PATHS, Fitted, Number, explain, of_family, of_kind, plain_key, quoted
+from ._fitted import PATHS, Fitted, Number, explain, of_family, of_kind, quoted
 
 UNIFORM_TYPES = {"brightness": "float", "shadow": "vec3", "tint": "vec3", "background": "vec3"}
 """As `combine.glsl` declares them; background is the frame buffer's part there, per channel."""
@@ -141,9 +141,6 @@ def _glsl(fitted: Fitted) -> str:
             "// recorded = black_level + pow(exposure * light, 1.0 / gamma)",
             *(_constant(number.name.replace(".", "_"), "float", (number,)) for number in response),
         ]
-    if unknown := of_kind(fitted, "unknown"):
-        lines += ["", "// Parameters that this version of airlight does not know."]
-        lines += _unknown_constants(unknown)
     return "\n".join(lines) + "\n"
 
 
@@ -159,26 +156,6 @@ def _glsl_uniform(fitted: Fitted) -> str:
         flags=re.MULTILINE,
     )
     return text.replace("// Replaces the uniforms", "// The uniforms")
-
-
-def _unknown_constants(numbers: tuple[Number, ...]) -> Iterator[str]:
-    """Prefixed, so that no name is a word of GLSL or of the shader; three channels as a vec3."""
-    by_name = {number.name: number for number in numbers}
-    used: set[str] = set()
-    while by_name:
-        name = next(iter(by_name))
-        family, _, ending = name.rpartition(".")
-        members = [f"{family}.{channel}" for channel in CHANNELS]
-        if ending not in CHANNELS or not all(member in by_name for member in members):
-            family, members = name, [name]
-        found = tuple(by_name.pop(member) for member in members)
-        plain = "_".join(["fit", *re.findall("[A-Za-z0-9]+", family)])
-        identifier, count = plain, 1
-        while identifier in used:
-            identifier, count = f"{plain}_{count + 1}", count + 1
-        used.add(identifier)
-        line = _constant(identifier, "vec3" if len(found) == 3 else "float", found)
-        yield line if identifier == f"fit_{family}" else f"{line} [{quoted(family)}]"
 
 
 def _constant(identifier: str, shape: str, numbers: tuple[Number, ...]) -> str:
@@ -210,9 +187,9 @@ def _toml(fitted: Fitted) -> str:
         values = [repr(number.value) for number in numbers]
         value = values[0] if len(values) == 1 else f"[{', '.join(values)}]"
         lines.append(f"{family} = {value}" + _trailing(numbers))
-    if extra := (*fitted.scene, *of_kind(fitted, "response"), *of_kind(fitted, "unknown")):
+    if extra := (*fitted.scene, *of_kind(fitted, "response")):
         lines += ["", "# Not part of the look:"]
-        lines += [f"# {plain_key(n.name)} = {n.value!r}{_trailing((n,))}" for n in extra]
+        lines += [f"# {n.name} = {n.value!r}{_trailing((n,))}" for n in extra]
     return "\n".join(lines) + "\n"
 
 
@@ -254,7 +231,7 @@ def _heading(fitted: Fitted) -> Iterator[str]:
         yield from (f"  {k}: {source}" for k, source in enumerate(sources, start=1))
     sentence, remedy = explain(fitted.verdict)
     converged = fitted.verdict == Verdict.CONVERGED.label
-    yield f"Verdict: {plain_key(fitted.verdict)}." + ("" if converged else f" {sentence}.")
+    yield f"Verdict: {fitted.verdict}." + ("" if converged else f" {sentence}.")
     if fitted.explained is not None:
         yield _plain(f"Explains {share(fitted.explained)} of the light's variance.")
     if fitted.warning is not None:
@@ -276,14 +253,14 @@ def _error(number: Number) -> str:
         "at_bound": "at a bound",
         "held": "not told by the photo, start value",
         "fixed": "not fitted",
-        "tied": f"tied to {plain_key(str(number.tied_to))}",
+        "tied": f"tied to {number.tied_to}",
         "free": "error unknown",
         "": "",
     }
     if number.stderr is not None:
         bound = " at a bound" if number.role == "at_bound" else ""
         return f"+- {number.stderr:.2g}{bound}"
-    return words.get(number.role, plain_key(number.role))
+    return words[number.role]
 
 
 def _trailing(numbers: Iterable[Number]) -> str:

@@ -14,6 +14,9 @@ from render_gl._files import PathLike, check_file
 
 from .._verdict import VERDICTS, Verdict
 
+SCHEMA = 2
+"""Of the fit.json that this version writes and reads."""
+
 CHANNELS = ("r", "g", "b")
 
 PATHS = {
@@ -21,6 +24,9 @@ PATHS = {
     "distance": "Widths of air are lengths along the ray: eye depths times 1 / cos of its angle.",
 }
 """What `atmosphere.path` means for a shader."""
+
+ROLES = ("free", "at_bound", "held", "fixed", "tied")
+"""Of a parameter in a fit."""
 
 USABLE = (Verdict.CONVERGED.label, Verdict.AT_BOUND.label)
 """Verdicts whose values are the best that the photo has to say."""
@@ -52,13 +58,13 @@ class Fitted:
     path: str
     """The fit.json, as it was named."""
     verdict: str
-    """A `Verdict`'s label, or whatever the file has in its place."""
+    """A `Verdict`'s label."""
     sources: tuple[tuple[str, str | None], ...]
     """Each photo, with its scene file or layer file."""
     explained: float | None
     """Share of the light's variance that the model explains."""
     numbers: tuple[Number, ...]
-    """All parameters: look, response photo by photo, and unknown ones by name."""
+    """All parameters: of the look, then of the response photo by photo."""
     scene: tuple[Number, ...]
     """What the look refers to, as far as the file has it: width_unit, brightness_per_length,
     color.r … color.a, planet_radius, atmosphere_height."""
@@ -74,14 +80,15 @@ class Fitted:
             return None
         sentence, remedy = explain(self.verdict)
         told = f"{sentence[0].lower()}{sentence[1:]}; {remedy}"
-        return f"{self.path}: verdict {plain_key(self.verdict)}: {told}"
+        return f"{self.path}: verdict {self.verdict}: {told}"
 
 
 def read_fit(path: PathLike) -> Fitted:
-    """Read a fit.json of any schema so far.
+    """Read a fit.json of this version's schema.
 
-    Raises `InputError`, naming file, entry and remedy: no such file, no JSON, no fit.json, a fit
-    that had no data, a look that is incomplete or not finite.
+    Raises `InputError`, naming file, entry and remedy: no such file, no JSON, no fit.json or one of
+    another schema, a fit that had no data, an unknown parameter or verdict, a look that is
+    incomplete or not finite.
     """
     file = check_file(path)
     try:
@@ -103,7 +110,14 @@ def read_fit(path: PathLike) -> Fitted:
 def _fitted(path: str, document: Any) -> Fitted:
     if not isinstance(document, dict) or not isinstance(document.get("parameters"), dict):
         raise InputError("has no table `parameters`; name a fit.json, as `airlight fit` writes it")
-    verdict = str(document.get("verdict") or "unknown")
+    if document.get("schema") != SCHEMA:
+        raise InputError(
+            f"schema is {shown(document.get('schema'))}, and this version reads {SCHEMA}; run the "
+            "fit again"
+        )
+    verdict = document.get("verdict")
+    if verdict not in [known.label for known in VERDICTS]:
+        raise InputError(f"verdict is {shown(verdict)}, which is none; run the fit again")
     if verdict == Verdict.NO_DATA.label:
         sentence, remedy = explain(verdict)
         raise InputError(
@@ -127,7 +141,10 @@ def _fitted(path: str, document: Any) -> Fitted:
 
 
 def _number(name: str, entry: Any) -> Number:
-    """One entry of `parameters`; schema 1 has no role and no meaning."""
+    """One entry of `parameters`."""
+    about = _known(name)
+    if about is None:
+        raise InputError(f"parameters: {shown(name)} is no parameter; run the fit again")
     if not isinstance(entry, dict) or "value" not in entry:
         raise InputError(f"parameters: {name} has no value; run the fit again")
     value = _finite(entry["value"])
@@ -135,18 +152,22 @@ def _number(name: str, entry: Any) -> Number:
         raise InputError(
             f"parameters: {name} is {entry['value']!r}, not a finite number; run the fit again"
         )
-    free = entry.get("free") is True
-    about = _known(name)
+    role = entry.get("role")
+    if role not in ROLES:
+        raise InputError(
+            f"parameters: {name} has the role {shown(role)}, which is none of {', '.join(ROLES)}; "
+            "run the fit again"
+        )
     return Number(
         name=name,
         value=value,
         stderr=_finite(entry.get("stderr")),
         initial=_finite(entry.get("initial")),
-        free=free,
-        role=str(entry.get("role") or ("free" if free else "fixed")),
+        free=entry.get("free") is True,
+        role=role,
         tied_to=None if entry.get("tied_to") is None else str(entry["tied_to"]),
-        unit=str(entry.get("unit") or (about.unit if about else "")),
-        meaning=str(entry.get("meaning") or (about.meaning if about else "")),
+        unit=about.unit,
+        meaning=about.meaning,
     )
 
 
@@ -173,21 +194,20 @@ def _check_look(values: dict[str, float]) -> None:
 
 
 def _photos(document: dict[str, Any]) -> list[dict[str, Any]]:
-    """What it says of each photo; schema 1 has no list of them."""
+    """What it says of each photo."""
     photos = document.get("photos")
     return [p for p in photos if isinstance(p, dict)] if isinstance(photos, list) else []
 
 
 def _sources(document: dict[str, Any]) -> Iterator[tuple[str, str | None]]:
-    """Photos by their names; schema 1 names its one photo at the top only."""
-    named = _photos(document)
-    for photo in named if all("photo" in p for p in named) and named else [document]:
+    """Photos by their names, with their scenes or layers."""
+    for photo in _photos(document):
         scene = photo.get("scene") or document.get("layers")
         yield str(photo.get("photo") or "unnamed"), None if scene is None else str(scene)
 
 
 def _scene(document: dict[str, Any]) -> Iterator[Number]:
-    """Lengths and the air's colour; files of earlier versions have less."""
+    """Lengths and the air's colour; a fit to a layer file knows less."""
     found: dict[str, tuple[Any, str, str]] = {
         name: (document.get(name), unit, meaning)
         for name, unit, meaning in (
@@ -229,16 +249,13 @@ def _finite(value: Any) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _rank(number: Number) -> tuple[int, int, int, str, int]:
-    """Look first, in its own order, then photo by photo the response, then the unknown by name."""
+def _rank(number: Number) -> tuple[int, int, int, int]:
+    """Look first, in its own order, then photo by photo the response."""
     family, _, ending = number.name.partition(".")
-    known = [*PARAMETERS, *RESPONSE_PARAMETERS]
-    channel = CHANNELS.index(ending) if ending in CHANNELS else -1
-    if _known(number.name) is None:
-        return (2, 0, 0, family, channel)
     if family in PARAMETERS:
-        return (0, 0, known.index(family), "", channel)
-    return (1, int(ending or 1), known.index(family), "", -1)
+        channel = CHANNELS.index(ending) if ending in CHANNELS else -1
+        return (0, 0, list(PARAMETERS).index(family), channel)
+    return (1, int(ending or 1), list(RESPONSE_PARAMETERS).index(family), -1)
 
 
 def _known(name: str) -> Any:
@@ -252,27 +269,19 @@ def _known(name: str) -> Any:
 
 
 def of_kind(fitted: Fitted, kind: str) -> tuple[Number, ...]:
-    """The numbers that are "look", "response" or "unknown"."""
-    wanted = ("look", "response", "unknown").index(kind)
+    """The numbers that are of the "look" or the "response"."""
+    wanted = ("look", "response").index(kind)
     return tuple(number for number in fitted.numbers if _rank(number)[0] == wanted)
 
 
 def explain(verdict: str) -> tuple[str, str]:
     """Sentence and remedy of a verdict's label."""
-    for known, texts in VERDICTS.items():
-        if known.label == verdict:
-            return texts
-    return "This version of airlight does not know that verdict", "run the fit again"
+    return next(texts for known, texts in VERDICTS.items() if known.label == verdict)
 
 
 def of_family(fitted: Fitted, family: str) -> tuple[Number, ...]:
     """The one number of a look's field, or its three; a vec3 of one number is GLSL's own form."""
     return tuple(n for n in of_kind(fitted, "look") if n.name.partition(".")[0] == family)
-
-
-def plain_key(name: str) -> str:
-    """A name as it is, or quoted when it is no plain word."""
-    return name if re.fullmatch("[A-Za-z0-9_.]+", name) else quoted(name)
 
 
 def quoted(text: str) -> str:

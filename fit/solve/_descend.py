@@ -32,10 +32,7 @@ Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 _SOLVERS: dict[SolverName, Any] = {
     "lm": optx.LevenbergMarquardt,
     "dogleg": optx.Dogleg,
-    "gauss_newton": optx.GaussNewton,
     "bfgs": optx.BFGS,
-    "lbfgs": optx.LBFGS,
-    "nelder_mead": optx.NelderMead,
 }
 
 TOLERANCE = 1e-12

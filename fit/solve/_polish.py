@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import optimistix as optx
 from jaxtyping import Float
 
-from ._descend import FINISH, descend, make_solver
+from ._descend import FINISH, Solver, descend
 from ._parameters import Entries, Parameter, chart, directions, is_outside, settle_tint
 from ._problem import Point, Problem
 
@@ -44,7 +45,7 @@ def finish(
     if not along.shape[1]:
         return vector, gram
     point, gram = _steps(point, gram, free)
-    solver = make_solver("gauss_newton", FINISH)
+    solver: Solver = optx.GaussNewton(rtol=FINISH, atol=FINISH)
     for _ in range(_FINISHES):
         if _is_done(problem, gram):
             break

@@ -36,8 +36,13 @@ def here(drawn: Path, tmp_path: Path, monkeypatch) -> Path:
     return tmp_path
 
 
-def test_render_writes_layers_and_picture_in_one_file(here: Path) -> None:
+def test_render_writes_layers_and_picture_in_one_file(here: Path, monkeypatch) -> None:
+    drawn, original = [], render_gl._render.draw
+    monkeypatch.setattr(
+        render_gl._render, "draw", lambda *given: drawn.append(given) or original(*given)
+    )
     assert airlight("render", "scene.toml", "-o", "out.exr", "--size", "81x61") == 0
+    assert len(drawn) == 1, "one drawing has both"
     channels, header = render_gl.read_channels("out.exr")
     assert {"front.Z", "back.Z", "shadow_front.Z", "shadow_back.Z", *"RGBA"} <= set(channels)
     assert channels["R"].shape == (61, 81)

@@ -15,6 +15,7 @@ from fit.photo._camera import Camera, _Noise
 from fit.photo._pixels import Columns
 from fit.solve._declare import declare
 from fit.solve._parameters import directions, to_entries
+from fit.solve._problem import Point
 from model_jax import Exposure, InputError, Layers, Look, Response
 from model_jax._tone import Srgb
 
@@ -139,17 +140,19 @@ def test_a_line_along_a_diagonal_is_not_level() -> None:
         assert np.all(np.abs(read[0]) < 5 * np.sqrt(np.diag(read[1])))
 
 
-def test_a_shift_beyond_a_bound_takes_what_follows_along() -> None:
+def test_a_shift_beyond_a_bound_takes_what_follows_along(layers64: Layers) -> None:
     """The tints' mean stays 1, and what is correlated with the tint at its bound moves too."""
     parameters = declare(
         START, [Response()], free=["brightness", "tint"], bounds={"tint.r": (0.9, 3.0)}
     )
     free = [p for p in parameters if p.role == "free"]
     vector, (along, _) = to_entries(parameters), directions(free, parameters)
+    problem = fit(picture(layers64, START), layers64, START).evidence.problem  # any
     covariance = np.diag([0.1, 0.2, 0.3]) + 0.05
     shift = np.linalg.lstsq(along, 0.3 * np.eye(len(vector))[0], rcond=None)[0]
     shift += np.linalg.lstsq(along[4:7], np.array([-0.4, 0.3, 0.1]), rcond=None)[0]
-    found = vector + along @ _bounded(shift, covariance, vector, along, free)
+    end = Point(problem, vector, along)
+    found = end.moved(_bounded(shift, covariance, end, free)).vector
     assert found[4] == pytest.approx(0.9, abs=1e-8)
     assert found[4] >= 0.9
     assert found[4:7].mean() == pytest.approx(1, abs=1e-12)

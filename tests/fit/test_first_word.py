@@ -60,8 +60,9 @@ def document() -> dict[str, object]:
     values = {"brightness": 3.0, "shadow": 0.2, "background": 0.0}
     values |= {f"tint.{channel}": 1.0 for channel in "rgb"}
     return {
+        "schema": 2,
         "verdict": "converged",
-        "parameters": {name: {"value": value} for name, value in values.items()},
+        "parameters": {name: {"value": value, "role": "fixed"} for name, value in values.items()},
     }
 
 
@@ -135,7 +136,7 @@ def test_the_shell_completes(typed: str, offered: str, tmp_path: Path) -> None:
     assert not HEAVY & set((tmp_path / "modules.txt").read_text().split())
 
 
-@pytest.mark.parametrize("package", ["model_jax", "render_gl", "fit"])
+@pytest.mark.parametrize("package", ["model_jax", "render_gl", "fit", "airlight"])
 def test_importing_a_package_imports_what_is_used(package: str) -> None:
     code = f"import sys, {package}; print(dir({package})); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -21,7 +21,7 @@ TRUTH = Look(brightness=2.0, shadow=0.3, background=0.02)
 
 def scene(size: tuple[int, int]) -> Scene:
     found = render_gl.load_scene("examples/reference.toml").scene
-    return eqx.tree_at(lambda s: s.camera, found, found.camera.resized(*size))
+    return found.resized(*size)
 
 
 def exact_light(case: Scene, look: Look) -> np.ndarray:

@@ -20,10 +20,7 @@ EPS = float(np.finfo(np.float64).eps)
 SOLVERS = {
     "lm": optx.LevenbergMarquardt,
     "dogleg": optx.Dogleg,
-    "gauss_newton": optx.GaussNewton,
     "bfgs": optx.BFGS,
-    "lbfgs": optx.LBFGS,
-    "nelder_mead": optx.NelderMead,
 }
 BY_NAME = {case.name: case for case in CASES}
 

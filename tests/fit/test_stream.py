@@ -22,8 +22,7 @@ from .looks import TRUTH, picture
 SOLVERS = {
     "dogleg": optx.Dogleg(rtol=1e-12, atol=1e-12),
     "lm": optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12),
-    "indirect lm": optx.IndirectLevenbergMarquardt(rtol=1e-12, atol=1e-12),
-    "gauss newton": optx.GaussNewton(rtol=1e-12, atol=1e-12),
+    "bfgs": optx.BFGS(rtol=1e-12, atol=1e-12),
 }
 
 

@@ -152,7 +152,7 @@ CASES: dict[str, dict[str, Any]] = {
         verdict="not_converged",
         message="The solver stopped before the best fit. To do: use solver 'lm' or allow more "
         "steps.",
-        solver="nelder_mead",
+        solver="bfgs",
         history=[41.2, 40.9],
         second_opinion="lower",
     ),
@@ -163,7 +163,7 @@ CASES: dict[str, dict[str, Any]] = {
         parameters={
             name: row(e["initial"], unit=e["unit"], role="held") for name, e in LOOK.items()
         },
-        solver="gauss_newton",
+        solver="dogleg",
         **NOTHING,
     ),
     "no_data": document(

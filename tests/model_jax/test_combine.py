@@ -1,5 +1,7 @@
 """The combine contract by hand, its clamps, its colour, and what `composite` adds."""
 
+from dataclasses import fields
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -199,3 +201,30 @@ def test_rows_are_a_part_of_the_picture(rng: np.random.Generator) -> None:
         layer_widths(layers), layer_widths(layers.rows(slice(5, 9))), strict=True
     ):
         np.testing.assert_array_equal(width[5:9], some)
+
+
+def test_rows_have_all_that_the_whole_has() -> None:
+    """Every field, so that a new one cannot be lost, or be as large as the whole."""
+    shape, several = (6, 4), (2, 6, 4)
+    numbers = iter(range(1, 100))
+    given = {
+        "front": shape,
+        "back": shape,
+        "shadow_front": several,
+        "shadow_back": several,
+        "surface": (*shape, 3),
+        "planet": shape,
+        "color": (4,),
+        "reference": (),
+        "width_unit": (),
+        "stretch": shape,
+        "width_error": shape,
+    }
+    assert list(given) == [field.name for field in fields(Layers)]
+    whole = Layers(**{name: np.full(size, next(numbers), float) for name, size in given.items()})
+    some = whole.rows(slice(1, 3))
+    for name, size in given.items():
+        axis = {"surface": 0}.get(name, len(size) - 2)
+        value, part = np.asarray(getattr(whole, name)), np.asarray(getattr(some, name))
+        expected = np.take(value, [1, 2], axis) if len(size) > 1 else value
+        np.testing.assert_array_equal(part, expected)

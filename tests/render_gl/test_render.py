@@ -57,6 +57,23 @@ def test_image_is_the_right_way_up() -> None:
     assert exact[:120].sum() > 1.5 * exact[120:].sum()
 
 
+@pytest.mark.parametrize("source", render_gl.SOURCES)
+def test_layers_and_image_come_of_one_drawing(source: str, monkeypatch) -> None:
+    case, look = SCENES["odd size"], Look(2.0, 0.5, (0.5, 1, 1.5), 0.1)
+    layers, image = (
+        render_gl.render(case, source=source),
+        render_gl.render_image(case, look, source=source),
+    )
+    drawn, original = [], render_gl._render.draw
+    monkeypatch.setattr(
+        render_gl._render, "draw", lambda *given: drawn.append(given) or original(*given)
+    )
+    both = render_gl.render_layers_and_image(case, look, source=source)
+    assert len(drawn) == 1
+    assert eqx.tree_equal(both[0], layers)
+    np.testing.assert_array_equal(both[1], image)
+
+
 @pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
 def test_image_equals_composite_of_its_layers(depth_format: str) -> None:
     look = Look(background=0.25, tint=[1.2, 1.0, 0.8])

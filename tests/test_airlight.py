@@ -1,0 +1,58 @@
+"""`import airlight`: every public name under one, and only those."""
+
+import re
+import subprocess
+import sys
+from importlib import metadata
+
+import pytest
+
+import airlight
+import fit
+import model_jax
+import render_gl
+
+from .data import REPOSITORY
+
+PACKAGES = (model_jax, render_gl, fit)
+
+
+def test_each_public_name_is_its_owners() -> None:
+    names = [name for package in PACKAGES for name in package.__all__]
+    assert len(names) == len(set(names)), "no two packages offer one name"
+    assert set(airlight.__all__) == {"__version__", *names}
+    assert dir(airlight) == sorted(airlight.__all__)
+    for package in PACKAGES:
+        for name in package.__all__:
+            assert getattr(airlight, name) is getattr(package, name), name
+
+
+def test_the_version_is_the_distributions() -> None:
+    assert airlight.__version__ == metadata.version("airlight")
+
+
+def test_a_name_that_is_none_is_told() -> None:
+    with pytest.raises(AttributeError, match="module 'airlight' has no attribute 'atmosphere'"):
+        _ = airlight.atmosphere
+
+
+def test_types_come_with_it(tmp_path) -> None:
+    """mypy knows each name by its owner's type, and refuses others."""
+    (tmp_path / "a.py").write_text(
+        "import airlight\n"
+        "reveal_type(airlight.fit)\n"
+        "reveal_type(airlight.Look(3.0).brightness)\n"
+        "reveal_type(airlight.render)\n"
+        "reveal_type(airlight.__version__)\n"
+        "airlight.atmosphere\n"
+    )
+    command = [sys.executable, "-m", "mypy", "--config-file", "", "--no-error-summary", "a.py"]
+    environment = {"MYPYPATH": str(REPOSITORY), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    told = re.sub(r"\n +", " ", done.stdout)
+    assert "FitResult" in told.splitlines()[0], told
+    assert "def (scene: model_jax._scene.Scene" in told, told
+    assert re.search(r'Revealed type is "(builtins\.)?str"', told), told
+    assert 'Module has no attribute "atmosphere"' in told, told
