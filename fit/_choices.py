@@ -8,13 +8,16 @@ from render_gl._choices import Source
 LayerSource = Literal[Source, "analytic"]
 """Where a scene's layers come from: OpenGL's two ways, or exact intersection in JAX."""
 
+CHANNELS = ("r", "g", "b")
+"""Endings of a colour's parts, as in tint.r."""
+
 LossName = Literal["linear", "huber", "soft_l1", "cauchy"]
 LOSSES: tuple[LossName, ...] = get_args(LossName)
 """As in SciPy's `least_squares`; "linear" is plain least squares."""
 
 SolverName = Literal["lm", "dogleg", "bfgs"]
 SOLVERS: tuple[SolverName, ...] = get_args(SolverName)
-"""Of optimistix."""
+"""optimistix's Levenberg–Marquardt, dogleg and BFGS."""
 
 JpegHandling = Literal["keep", "undo"]
 """What is done about a photo that is a JPEG: nothing but a warning, or what

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from ._result import Estimate, PhotoResult
 from ._verdict import MOST_CLIPPED, STRUCTURED_PX
-from .diagnose._compression import Undone, undo_compression
+from .diagnose._compression import Debiased, undo_compression
 from .diagnose._evidence import BELIEVED, Evidence, belief_in, explained_share, square_sum_of
 from .diagnose._influence import rounding_bound
 from .diagnose._misfit import Doubts, find_doubts
@@ -15,22 +15,22 @@ from .diagnose._residuals import width_slopes_of
 from .photo._camera import is_coarse
 from .photo._photo import Photo
 from .photo._pixels import Columns, PhotoLike, Pixels, grey_spread
-from .solve._parameters import TINT, Entries, Parameter, to_responses
+from .solve._parameters import TINT, Entries, FitParameter, to_responses
 from .solve._problem import Problem
 from .solve._search import End
 from .solve._task import Task
 
 
 def grey_variance(
-    columns: Sequence[Columns], told: Sequence[Parameter], vector: Entries
+    columns: Sequence[Columns], identified: Sequence[FitParameter], vector: Entries
 ) -> Float[np.ndarray, " t"]:
     """What is not known of how photos were made grey, as variance of the told parameters.
 
     It is a factor on a grey photo's light: brightness, or the exposure beside a photo in colour.
     """
     grey = [c.mix is not None for c in columns]
-    found = np.zeros(len(told))
-    for k, p in enumerate(told):
+    found = np.zeros(len(identified))
+    for k, p in enumerate(identified):
         number = int(p.name.partition(".")[2] or 1) - 1 if p.family == "exposure" else 0
         unsure = grey[number] != grey[0] if p.family == "exposure" else grey[0]
         if unsure and p.family in ("brightness", "exposure"):
@@ -82,7 +82,7 @@ def layer_errors(evidence: Evidence) -> list[float | None]:
     """How far the layers' own errors can shift each told parameter."""
     problem = evidence.problem
     if all(c.drawn_error is None for c in problem.columns):
-        return [None] * len(evidence.told)
+        return [None] * len(evidence.identified)
     slopes = width_slopes_of(problem, evidence.point.vector)
     steps = [
         None if c.drawn_error is None else slope * c.drawn_error[:, None]
@@ -100,7 +100,9 @@ def _shifted(evidence: Evidence, steps: Sequence[np.ndarray | None]) -> list[flo
     return [float(b) for b in bound]
 
 
-def undo_jpeg(evidence: Evidence, residuals: Sequence[Float[np.ndarray, "_ 3"]]) -> Undone | str:
+def debias_jpeg(
+    evidence: Evidence, residuals: Sequence[Float[np.ndarray, "_ 3"]]
+) -> Debiased | str:
     """The look before JPEG, or why it is not known."""
     task, problem, end = evidence.task, evidence.problem, evidence.end
     lossy = [p for p in task.photos if isinstance(p, Photo) and p.lossy]
@@ -110,7 +112,7 @@ def undo_jpeg(evidence: Evidence, residuals: Sequence[Float[np.ndarray, "_ 3"]])
         return "a grey JPEG, or one of an uncommon kind, cannot be compressed again alike"
     if any(is_coarse(p.jpeg) for p in lossy if p.jpeg is not None):
         return "the file is compressed so much that it does not show its noise"
-    if not end.settled or not evidence.point.along.shape[1]:
+    if not end.settled or not evidence.point.directions.shape[1]:
         return "nothing was told that it could be taken off"
     clipped = 3 * sum(len(c.lit) for c in problem.columns) - problem.count
     if clipped > MOST_CLIPPED * problem.count:
@@ -159,7 +161,7 @@ def photo_results(
     return found
 
 
-def _interval(p: Parameter, value: float, reach: float) -> tuple[float, float]:
+def _interval(p: FitParameter, value: float, reach: float) -> tuple[float, float]:
     """What is within reach of a value and allowed: no truth lies beyond a bound, so the interval
     that ends there covers as often."""
     return (
@@ -169,7 +171,7 @@ def _interval(p: Parameter, value: float, reach: float) -> tuple[float, float]:
 
 
 def estimate(
-    p: Parameter,
+    p: FitParameter,
     value: float,
     *,
     role: str,
@@ -177,7 +179,7 @@ def estimate(
     reach: float | None = None,
     bias: float | None = None,
     drawn: float | None = None,
-    undone: float | None = None,
+    debiased: float | None = None,
 ) -> Estimate:
     return Estimate(
         value=value,
@@ -192,6 +194,6 @@ def estimate(
         tied_to=p.tied_to,
         quantisation_bound=bias,
         layer_error=drawn,
-        compression_shift=undone,
+        compression_shift=debiased,
         meaning=p.meaning,
     )

@@ -20,7 +20,7 @@ from model_jax._shapes import is_traced
 
 from ._choices import check_jpeg, check_loss, check_sampling, check_steps
 from ._compile import float64
-from ._estimates import photo_results, undo_jpeg
+from ._estimates import debias_jpeg, photo_results
 from ._judge import evidence_of, judge, with_warnings, without_data
 from ._memory import bound_programs, give_back
 from ._result import FitResult
@@ -37,7 +37,7 @@ from .solve._task import Task
 MAX_STEPS = 256
 """Steps a solver is given unless told."""
 
-LARGE = 2**21
+MANY_SAMPLES = 2**21
 """Samples from which on memory is counted."""
 
 
@@ -206,7 +206,7 @@ def _fit(task: Task) -> FitResult:
     columns = problem.columns
     times.append(perf_counter())
     problem, end = search_in_rounds(task, problem, asked)
-    if problem.count > LARGE:
+    if problem.count > MANY_SAMPLES:
         give_back()  # what compiling left behind
     times.append(perf_counter())
     residuals = residuals_of(problem, end.vector)
@@ -217,9 +217,9 @@ def _fit(task: Task) -> FitResult:
         result = without_data(str(airless[0]), task, pixels, columns, left_out)
     else:
         # Last, for it takes seconds, and nothing else asks what JPEG did.
-        undone = undo_jpeg(evidence, residuals) if evidence and task.jpeg == "undo" else None
+        debiased = debias_jpeg(evidence, residuals) if evidence and task.jpeg == "undo" else None
         left_out = [*pixel_remarks(pixels), *left_out]
-        result = judge(task, end, evidence, photos, residuals, undone, left_out)
+        result = judge(task, end, evidence, photos, residuals, debiased, left_out)
         result = with_warnings(
             result,
             [

@@ -16,16 +16,16 @@ from ._estimates import (
 from ._result import Errors, Estimate, FitResult, LeftOut, Misfit, PhotoResult
 from ._rounds import ROUNDING, noise_of
 from ._verdict import VERDICTS, Verdict
-from .diagnose._compression import Undone
+from .diagnose._compression import Debiased
 from .diagnose._evidence import Evidence
 from .diagnose._remarks import file_remarks, percent, warnings_of
 from .diagnose._spread import reach_95, spread_of
 from .photo._pixels import Columns, Pixels
 from .solve._parameters import (
     Entries,
-    Parameter,
-    directions,
+    FitParameter,
     followers,
+    free_directions,
     to_entries,
     to_look,
     to_responses,
@@ -50,10 +50,10 @@ def evidence_of(
     """What the end point rests on; None where there is none."""
     if not end.finite:
         return None
-    point = Point(problem, end.vector, directions(end.free, task.parameters)[0])
+    point = Point(problem, end.vector, free_directions(end.free, task.parameters)[0])
     noise = noise_of(task, problem, end, residuals)
     spread = spread_of(point, task.sizes, residuals, noise, ROUNDING * problem.light_max)
-    return Evidence(task, end, point, tuple(_told(task, end)), spread, noise)
+    return Evidence(task, end, point, tuple(_identified(task, end)), spread, noise)
 
 
 def judge(
@@ -62,7 +62,7 @@ def judge(
     evidence: Evidence | None,
     photos: Sequence[PhotoResult],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
-    undone: Undone | str | None,
+    debiased: Debiased | str | None,
     left_out: Sequence[LeftOut],
 ) -> FitResult:
     """Values, errors and verdict.
@@ -74,9 +74,9 @@ def judge(
     """
     worth = _Worth(end.vector)
     if evidence is not None:
-        worth = _worth(evidence, residuals, undone if isinstance(undone, Undone) else None)
-    names = [p.name for p in worth.told]
-    more = [LeftOut("what JPEG did", undone)] if isinstance(undone, str) else []
+        worth = _worth(evidence, residuals, debiased if isinstance(debiased, Debiased) else None)
+    names = [p.name for p in worth.identified]
+    more = [LeftOut("what JPEG did", debiased)] if isinstance(debiased, str) else []
     held = [
         LeftOut(p.name, f"{flat.why}; held at its start value")
         for flat in end.flat
@@ -115,13 +115,13 @@ class _Worth:
 
     vector: Entries
     """The end, or what it was before compression."""
-    told: tuple[Parameter, ...] = ()
+    identified: tuple[FitParameter, ...] = ()
     covariance: Float[np.ndarray, "t t"] = field(default_factory=lambda: np.zeros((0, 0)))
     reach: Float[np.ndarray, " t"] = field(default_factory=lambda: np.zeros(0))
     """Standard errors to either side of an interval."""
     bias: Sequence[float | None] = ()
     drawn: Sequence[float | None] = ()
-    undone: bool = False
+    debiased: bool = False
     misfits: tuple[Misfit, ...] = ()
 
     @property
@@ -138,28 +138,28 @@ class _Worth:
 
 
 def _worth(
-    evidence: Evidence, residuals: Sequence[Float[np.ndarray, "_ 3"]], undone: Undone | None
+    evidence: Evidence, residuals: Sequence[Float[np.ndarray, "_ 3"]], debiased: Debiased | None
 ) -> _Worth:
     """Errors of what was told, widened by what is doubtful beside noise."""
-    point, told, rows = evidence.point, evidence.told, evidence.rows
+    point, identified, rows = evidence.point, evidence.identified, evidence.rows
     vector, along_free = point.vector, evidence.spread.covariance
     freedom = evidence.spread.freedom(rows)
-    if undone is not None:
-        vector, along_free = point.moved(undone.shift).vector, undone.covariance
-        freedom = np.full(len(told), undone.freedom)
+    if debiased is not None:
+        vector, along_free = point.moved(debiased.shift).vector, debiased.covariance
+        freedom = np.full(len(identified), debiased.freedom)
     # What compression leaves over is no other cause's.
-    doubts = doubts_of(evidence, residuals, look_for_causes=undone is None)
+    doubts = doubts_of(evidence, residuals, look_for_causes=debiased is None)
     covariance = rows @ along_free @ rows.T + doubts.covariance
     if point.problem.samples.mix is not None:
-        covariance = covariance + np.diag(grey_variance(point.problem.columns, told, vector))
+        covariance = covariance + np.diag(grey_variance(point.problem.columns, identified, vector))
     return _Worth(
         vector=vector,
-        told=told,
+        identified=identified,
         covariance=covariance,
         reach=reach_95(freedom),
         bias=rounding_bias(evidence),
         drawn=layer_errors(evidence),
-        undone=undone is not None,
+        debiased=debiased is not None,
         misfits=doubts.misfits,
     )
 
@@ -177,7 +177,7 @@ def _errors(evidence: Evidence) -> Errors:
 
 def _estimates(task: Task, end: End, worth: _Worth) -> dict[str, Estimate]:
     """Every parameter by its name, told or not."""
-    names = [p.name for p in worth.told]
+    names = [p.name for p in worth.identified]
     held = {p.name for flat in end.flat for p in flat.held}
     stderr = worth.stderr
     found = {}
@@ -195,7 +195,7 @@ def _estimates(task: Task, end: End, worth: _Worth) -> dict[str, Estimate]:
             reach=float(worth.reach[k] * stderr[k]),
             bias=worth.bias[k],
             drawn=worth.drawn[k],
-            undone=float(p.of(worth.vector - end.vector)) if worth.undone else None,
+            debiased=float(p.of(worth.vector - end.vector)) if worth.debiased else None,
         )
     return found
 
@@ -207,12 +207,12 @@ def _verdict(task: Task, end: End) -> Verdict:
         return Verdict.NOT_CONVERGED
     if end.at_bound:
         return Verdict.AT_BOUND
-    told = {p.name for p in _told(task, end)}
-    lost = any(p.role == "free" and p.name not in told for p in task.parameters)
+    identified = {p.name for p in _identified(task, end)}
+    lost = any(p.role == "free" and p.name not in identified for p in task.parameters)
     return Verdict.NOT_IDENTIFIABLE if task.named and lost else Verdict.CONVERGED
 
 
-def _told(task: Task, end: End) -> list[Parameter]:
+def _identified(task: Task, end: End) -> list[FitParameter]:
     """Free parameters and what is tied to them; a lone free tint is fixed by the mean."""
     members = [q for p in end.free for q in followers(p, task.parameters)]
     tints = sum(p.family == "tint" for p in members)
@@ -220,10 +220,10 @@ def _told(task: Task, end: End) -> list[Parameter]:
     return [p for p in task.parameters if p.name in names]
 
 
-def _role(p: Parameter, told: Sequence[str], end: End, held: set[str]) -> str:
+def _role(p: FitParameter, identified: Sequence[str], end: End, held: set[str]) -> str:
     if p.role == "tied":
         return "tied"
-    if p.name in told:
+    if p.name in identified:
         return "free"
     if any(p.name == q.name for q in end.at_bound):
         return "at_bound"

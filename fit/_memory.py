@@ -18,6 +18,7 @@ MOST_MAPS = 8_000
 """From this many on programs go: those of eleven fits of ever new sizes and options, 1.2 GB."""
 
 _M_MMAP_THRESHOLD = -3
+"""Number of the setting in glibc's malloc.h."""
 
 
 def map_large_blocks() -> None:

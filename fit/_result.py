@@ -86,7 +86,7 @@ class Misfit:
     rivals: tuple[str, ...]
     """Other causes that explain it as well, by the odds of noise."""
     share: float
-    """Of the variance left over that goes with it."""
+    """Share of the variance left over that goes with it."""
     chance: float
     """That noise looks like it."""
 
@@ -109,7 +109,7 @@ class PhotoResult:
     response: Response
     """The fitted one."""
     mix: Float[np.ndarray, "3 3"] | None
-    """Of a grey photo: what each channel shows of red, green and blue."""
+    """What each channel of a grey photo shows of red, green and blue; else None."""
     width_unit: float
     """Scene length that widths of these layers are divided by (far - near)."""
 
@@ -175,7 +175,7 @@ class FitResult:
     correlation_names: tuple[str, ...]
     """The parameters that have a standard error: rows and columns of the two matrices."""
     correlation: Float[np.ndarray, "p p"]
-    """Of rank one less than its size when the three tints are free: their mean is 1."""
+    """Its rank is one less than its size when the three tints are free: their mean is 1."""
     covariance: Float[np.ndarray, "p p"]
     """Block sandwich (`diagnose._spread`): residuals may be correlated and of any size. Of JPEGs
     the scatter of fits to pictures that were compressed alike (`diagnose._compression`)."""
@@ -207,12 +207,12 @@ class FitResult:
 
     @property
     def excluded(self) -> dict[str, int]:
-        """Of the first photo."""
+        """Why pixels of the first photo were not used, and how many."""
         return self.photos[0].excluded
 
     @property
     def response(self) -> Response:
-        """Of the first photo."""
+        """The first photo's."""
         return self.photos[0].response
 
     @property
@@ -222,7 +222,7 @@ class FitResult:
 
     @property
     def pixels(self) -> dict[str, Any]:
-        """Of all photos together."""
+        """Counts of all photos together, as `PhotoResult.pixels`."""
         parts = [photo.pixels for photo in self.photos]
         reasons = dict.fromkeys(reason for part in parts for reason in part["excluded"])
         return {

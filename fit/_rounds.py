@@ -12,8 +12,8 @@ from ._compile import float64
 from .diagnose._residuals import residuals_of, square_sum_of
 from .photo._pixels import Columns
 from .solve._loss import Loss
-from .solve._model import Model, Prior
-from .solve._parameters import Parameter, to_entries
+from .solve._model import Model, PriorTerm
+from .solve._parameters import FitParameter, to_entries
 from .solve._problem import Problem
 from .solve._samples import on_device, share_widths, to_samples
 from .solve._search import End, search
@@ -22,6 +22,7 @@ from .solve._task import Task
 ROUNDING = 1e-9
 """Noise there is at least, of the brightest sample."""
 _ROUNDS = 6
+"""Most rounds of search and noise."""
 _SAME_NOISE = 0.01
 """Relative change of the noise estimate below which no further round is made."""
 
@@ -38,7 +39,7 @@ def make_problem(task: Task, columns: tuple[Columns, ...]) -> Problem:
 
 
 def search_in_rounds(
-    task: Task, problem: Problem, asked: tuple[Parameter, ...]
+    task: Task, problem: Problem, asked: tuple[FitParameter, ...]
 ) -> tuple[Problem, End]:
     """The search; for all but plain least squares again and again, with the noise found before."""
     start = to_entries(task.parameters)
@@ -93,10 +94,10 @@ def noise_of(
     return max(1.4826 * float(np.median(np.abs(known))), least)
 
 
-def _prior(asked: Sequence[Parameter], noise: float, size: int) -> Prior | None:
+def _prior(asked: Sequence[FitParameter], noise: float, size: int) -> PriorTerm | None:
     mean, weight = np.zeros(size), np.zeros(size)
     for p in asked:
         if p.prior is not None:
             mean[p.entries[0]], weight[p.entries[0]] = p.prior.mean, (noise / p.prior.sigma) ** 2
     with float64():
-        return Prior(jnp.asarray(mean), jnp.asarray(weight)) if weight.any() else None
+        return PriorTerm(jnp.asarray(mean), jnp.asarray(weight)) if weight.any() else None

@@ -33,13 +33,14 @@ from .solve._parameters import (
     RESPONSE_ENTRIES,
     SHADOW,
     TINT,
-    Parameter,
+    FitParameter,
     chart,
-    directions,
+    free_directions,
     settle_tint,
     to_entries,
 )
 from .solve._samples import Samples, tile_at
+from .solve._scaled import unit_diagonal
 
 SHADOWS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Shadow weights that a descent starts from; the one that ends lowest counts."""
@@ -49,7 +50,9 @@ BLOCK = 16
 most photos' are correlated over less."""
 
 _STEPS = 64
+"""Most steps of each descent."""
 _NEWTON_STEPS = 8
+"""Steps of the root: from where a descent ends they double the digits, and float64 has 53 bits."""
 
 
 class TracedFit(eqx.Module):
@@ -58,8 +61,8 @@ class TracedFit(eqx.Module):
     look: Look
     response: Response
     covariance: Float[jax.Array, "t t"]
-    """Of the parameters in `names`, by blocks: what noise does, and not what may be wrong with the
-    model. NaN where the verdict is not about an optimum."""
+    """Covariance of the parameters in `names`, by blocks: what noise does, not what may be wrong
+    with the model. NaN where the verdict is not about an optimum."""
     verdict: Int[jax.Array, ""]
     """Code of a `Verdict`."""
     square_sum: Float[jax.Array, ""]
@@ -87,7 +90,7 @@ def fit_traced(
     layers: Layers,
     look: Look,
     response: Response,
-    parameters: Sequence[Parameter],
+    parameters: Sequence[FitParameter],
     used: Any,
     solver: str,
 ) -> TracedFit:
@@ -101,7 +104,7 @@ def fit_traced(
         used: pixels that may be used, concrete.
     """
     free = [p for p in parameters if p.role == "free"]
-    along, _ = directions(free, parameters)
+    directions, _ = free_directions(free, parameters)
     if not layers.has_shadow and any(p.family == "shadow" for p in free):
         raise InputError("free: the layers hold no shadow; leave shadow out of free")
     dtype = jax.dtypes.canonicalize_dtype(float)
@@ -111,14 +114,14 @@ def fit_traced(
     linear = all(p.value == 1 and p.role == "fixed" for p in parameters if p.family == "gamma")
     model = Model(Loss("linear"), None, linear)
     start = settle_tint(to_entries(parameters), free, parameters)
-    fixed = _fixed(look, response, start, along, dtype)
+    fixed = _fixed(look, response, start, directions, dtype)
     atlases = [_atlas(s, free, parameters, fixed, dtype) for s in _starts(start, free)]
     atlas, step, finite = _best(atlases, samples, model, solver)
     step = _stationary(atlas, samples, model, step)
     entries = atlas.entries(step)
-    told, names = _told(free, parameters, along)
-    covariance, code = _judge(
-        entries, along, told, samples, model, index, photo.shape, free, finite
+    identified, names = _identified(free, parameters, directions)
+    covariance, code = _covariance_and_verdict(
+        entries, directions, identified, samples, model, index, photo.shape, free, finite
     )
     fitted, recorded = _records(entries, look)
     return TracedFit(
@@ -151,7 +154,7 @@ def _samples(photo: AnyArray, layers: Layers, index: np.ndarray) -> Samples:
 
 
 def _fixed(
-    look: Look, response: Response, start: np.ndarray, along: np.ndarray, dtype: Any
+    look: Look, response: Response, start: np.ndarray, directions: np.ndarray, dtype: Any
 ) -> jax.Array:
     """The vector of what is held, traced; 0 where something moves."""
     parts = [
@@ -166,10 +169,10 @@ def _fixed(
             (response.black_level, 1),
         )
     ]
-    return jnp.where(along.any(axis=1), 0, jnp.concatenate(parts))
+    return jnp.where(directions.any(axis=1), 0, jnp.concatenate(parts))
 
 
-def _starts(start: np.ndarray, free: Sequence[Parameter]) -> list[np.ndarray]:
+def _starts(start: np.ndarray, free: Sequence[FitParameter]) -> list[np.ndarray]:
     entries = [e for p in free if p.family == "shadow" for e in p.entries]
     found = [start]
     for weight in SHADOWS if entries else ():
@@ -181,8 +184,8 @@ def _starts(start: np.ndarray, free: Sequence[Parameter]) -> list[np.ndarray]:
 
 def _atlas(
     start: np.ndarray,
-    free: Sequence[Parameter],
-    parameters: Sequence[Parameter],
+    free: Sequence[FitParameter],
+    parameters: Sequence[FitParameter],
     fixed: jax.Array,
     dtype: Any,
 ) -> Atlas:
@@ -251,8 +254,8 @@ def _stationary(atlas: Atlas, samples: Samples, model: Model, step: jax.Array) -
     # Its steps at rounding level may be too many for optimistix to call it a success.
     before, after = (_square_sum(atlas.entries(s), samples, model) for s in (step, solution.value))
     rounding = (64 * eps) ** 2 * (samples.light**2).sum()
-    told = jnp.isfinite(solution.value).all() & (after <= before * (1 + 1e-3) + rounding)
-    return jnp.where(told, solution.value, step)
+    identified = jnp.isfinite(solution.value).all() & (after <= before * (1 + 1e-3) + rounding)
+    return jnp.where(identified, solution.value, step)
 
 
 def _square_sum(entries: jax.Array, samples: Samples, model: Model) -> jax.Array:
@@ -261,53 +264,52 @@ def _square_sum(entries: jax.Array, samples: Samples, model: Model) -> jax.Array
     return (cost * tile.weight[None]).sum()
 
 
-def _judge(
+def _covariance_and_verdict(
     entries: jax.Array,
-    along: np.ndarray,
-    told: np.ndarray,
+    directions: np.ndarray,
+    identified: np.ndarray,
     samples: Samples,
     model: Model,
     index: np.ndarray,
     shape: tuple[int, ...],
-    free: Sequence[Parameter],
+    free: Sequence[FitParameter],
     finite: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """Covariance and verdict code."""
     dtype = entries.dtype
     tile = tile_at(samples, jnp.array(0))
-    predicted, slopes = tile_slopes(entries, jnp.asarray(along, dtype), tile, model.linear)
+    predicted, slopes = tile_slopes(entries, jnp.asarray(directions, dtype), tile, model.linear)
     residual = (predicted - tile.light) * tile.weight[None]
     slopes = slopes * tile.weight[None, None]
     scores = jnp.einsum("icn,cn->ni", slopes, residual)
     curved = jnp.einsum("icn,jcn->ij", slopes, slopes)
     gradient, square_sum = scores.sum(axis=0), (residual**2).sum()
-    p = along.shape[1]
+    p = directions.shape[1]
     count = 3 * tile.weight.sum()
-    size = jnp.sqrt(jnp.diagonal(curved))
-    usable = jnp.where(size > 0, size, 1)
+    unit, size = unit_diagonal(curved)
     near = jnp.stack([_near_bound(entries, q) for q in free])
     # Along what stands at a bound and would go beyond, nothing is promised and nothing is told.
     stuck = jnp.zeros(p, bool)
     for k, q in enumerate(free):
         if q.family != "tint":
-            moves = jnp.asarray(along[q.entries[0]] != 0)
+            moves = jnp.asarray(directions[q.entries[0]] != 0)
             stuck |= moves & (near[k] != 0) & (near[k] * gradient > 0)
     either = stuck[None] | stuck[:, None]
-    scaled = jnp.where(either, jnp.eye(p, dtype=dtype), curved / usable[None] / usable[:, None])
+    scaled = jnp.where(either, jnp.eye(p, dtype=dtype), unit)
     gradient = jnp.where(stuck, 0, gradient)
     values, vectors = jnp.linalg.eigh(scaled)
     eps = float(jnp.finfo(dtype).eps)
     floor = 64 * p * eps
-    is_flat = (values[0] <= floor) | ~(size > 0).all()
+    is_flat = (values[0] <= floor) | ~(jnp.diagonal(curved) > 0).all()
     inverse_values = jnp.where(values > floor, 1 / jnp.maximum(values, floor), 0)
-    inverse = (vectors * inverse_values[None]) @ vectors.T / usable[None] / usable[:, None]
+    inverse = (vectors * inverse_values[None]) @ vectors.T / size[None] / size[:, None]
     promise = gradient @ inverse @ gradient
     variance = square_sum / jnp.maximum(count - p, 1)
     blocks = block_numbers(index, (shape[0], shape[1]), BLOCK)
     number = int(blocks.max(initial=0)) + 1
     sums = jax.ops.segment_sum(scores, jnp.asarray(blocks), number)
     middle = sums.T @ sums * (number / max(number - p, 1))
-    spread = told @ inverse
+    spread = identified @ inverse
     brightest = jnp.abs(tile.light).max()
     rounding = count * (eps * brightest) ** 2
     code = jnp.where((near != 0).any(), Verdict.AT_BOUND, Verdict.CONVERGED)
@@ -318,24 +320,24 @@ def _judge(
     code = jnp.where(finite & jnp.isfinite(entries).all(), code, Verdict.DIVERGED)
     code = jnp.where((count > 3 * p) & (brightest > 0), code, Verdict.NO_DATA)
     covariance = spread @ middle @ spread.T
-    untold = jnp.asarray(told != 0) @ stuck
-    covariance = jnp.where(untold[None] | untold[:, None], jnp.nan, covariance)
+    unidentified = jnp.asarray(identified != 0) @ stuck
+    covariance = jnp.where(unidentified[None] | unidentified[:, None], jnp.nan, covariance)
     good = (code == Verdict.CONVERGED) | (code == Verdict.AT_BOUND)
     return jnp.where(good, covariance, jnp.nan), code
 
 
-def _near_bound(entries: jax.Array, p: Parameter) -> jax.Array:
+def _near_bound(entries: jax.Array, p: FitParameter) -> jax.Array:
     """1 at the lower bound of a parameter, -1 at its upper one, 0 between."""
     value, room = entries[p.entries[0]], 1e-3 * p.scale
     return jnp.where(value - p.lower <= room, 1, jnp.where(p.upper - value <= room, -1, 0))
 
 
-def _told(
-    free: Sequence[Parameter], parameters: Sequence[Parameter], along: np.ndarray
+def _identified(
+    free: Sequence[FitParameter], parameters: Sequence[FitParameter], directions: np.ndarray
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Rows of what moves along the directions, and its names."""
-    moved = [p for p in parameters if p.role != "fixed" and np.any(p.of(along))]
-    rows = np.array([p.of(along) for p in moved]).reshape(len(moved), along.shape[1])
+    moved = [p for p in parameters if p.role != "fixed" and np.any(p.of(directions))]
+    rows = np.array([p.of(directions) for p in moved]).reshape(len(moved), directions.shape[1])
     return rows, tuple(p.name for p in moved)
 
 

@@ -18,7 +18,7 @@ from ._choices import ENCODINGS, Encoding
 from ._errors import InputError, shown
 from ._kinds import as_jax, need, need_array, need_number
 from ._safe import is_host
-from ._shapes import AnyArray, Depth, Mask, Rgb, Scalar, Shadows, converter
+from ._shapes import AnyArray, Depth, Four, Mask, Rgb, Scalar, Shadows, converter
 
 _MAPS = ("front", "back", "shadow_front", "shadow_back", "planet", "stretch", "width_error")
 """Fields of `Layers` that end in rows and columns."""
@@ -46,9 +46,7 @@ class Layers(eqx.Module):
     planet: Float[AnyArray, "h w"] | None = None
     """1 where the planet or an occluder ends the ray, 0 where space does; `None` when nobody
     knows."""
-    color: Float[AnyArray, "4"] = eqx.field(
-        converter=converter("layers.color"), default=(1.0, 1.0, 1.0, 1.0)
-    )
+    color: Four = eqx.field(converter=converter("layers.color"), default=(1.0, 1.0, 1.0, 1.0))
     """Linear RGB and alpha of the air (the shell's vertex colour in the paper)."""
     reference: Scalar = 0.0
     """Eye depth that the depths are relative to; float64 on the host."""
@@ -115,7 +113,7 @@ class DepthTextures(eqx.Module):
     encoding: Encoding = eqx.field(static=True)
     reference: Scalar = 0.0
     constant: Scalar = 1.0
-    """Of logarithmic depths (see `linearize_depth`)."""
+    """C of logarithmic depths (see `linearize_depth`)."""
 
     def __check_init__(self) -> None:
         _need_depths("textures", self)

@@ -8,11 +8,10 @@ command line need to know.
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Float
 
 from ._errors import InputError, shown
 from ._parameter import PARAMETERS
-from ._shapes import AnyArray, Scalar, converter
+from ._shapes import Scalar, Three, converter
 
 
 class Look(eqx.Module):
@@ -22,16 +21,14 @@ class Look(eqx.Module):
         converter=converter("look.brightness"), default=PARAMETERS["brightness"].default
     )
     """Light per width unit of lit air, multiplying the scene's colour; ≥ 0."""
-    shadow: Scalar | Float[AnyArray, "3"] = eqx.field(
+    shadow: Scalar | Three = eqx.field(
         converter=converter("look.shadow"), default=PARAMETERS["shadow"].default
     )
     """Light of shadowed air as a share of lit air, one number or one per channel; ≥ 0."""
-    tint: Float[AnyArray, "3"] = eqx.field(
-        converter=converter("look.tint"), default=(1.0, 1.0, 1.0)
-    )
+    tint: Three = eqx.field(converter=converter("look.tint"), default=(1.0, 1.0, 1.0))
     """Factor per channel on the scene's colour. A fit keeps its mean at 1, so that brightness and
     tint are separate numbers; the combine takes it as it is."""
-    background: Scalar | Float[AnyArray, "3"] = eqx.field(
+    background: Scalar | Three = eqx.field(
         converter=converter("look.background"), default=PARAMETERS["background"].default
     )
     """Light added to every pixel (sky glow, black level), one number or one per channel."""

@@ -19,9 +19,7 @@ from jaxtyping import Float
 
 from ._errors import InputError, need_path, shown
 from ._kinds import need
-from ._shapes import AnyArray, Scalar, converter, namespace
-
-Vector = Float[AnyArray, "3"]
+from ._shapes import AnyArray, Four, Scalar, Three, converter, namespace
 
 EARTH_SUN_ANGULAR_RADIUS_DEG = 0.2666
 """Mean angular radius of the Sun from 1 au: 695,700 km / 149,597,871 km (IAU 2015 B3, 2012 B2)."""
@@ -79,11 +77,11 @@ def _traced(value: object) -> bool:
 class Camera(eqx.Module):
     """A pinhole camera with square pixels; the principal point is the image's centre."""
 
-    position: Vector = eqx.field(converter=converter("camera.position"))
+    position: Three = eqx.field(converter=converter("camera.position"))
     """Centre of projection, scene length units."""
-    forward: Vector = eqx.field(converter=_unit("camera.forward"))
+    forward: Three = eqx.field(converter=_unit("camera.forward"))
     """Unit vector along the optical axis, into the picture."""
-    up: Vector = eqx.field(converter=_unit("camera.up"))
+    up: Three = eqx.field(converter=_unit("camera.up"))
     """Any direction that is up in the picture and not parallel to `forward`."""
     fov_y_deg: Scalar = eqx.field(converter=converter("camera.fov_y_deg"))
     """Full vertical field of view, degrees, in (0, 180)."""
@@ -186,7 +184,7 @@ class Atmosphere(eqx.Module):
 
     height: Scalar = eqx.field(converter=converter("atmosphere.height"))
     """Thickness of the shell, > 0, scene length units."""
-    color: Float[AnyArray, "4"] = eqx.field(converter=_rgba, default=(1.0, 1.0, 1.0, 1.0))
+    color: Four = eqx.field(converter=_rgba, default=(1.0, 1.0, 1.0, 1.0))
     """Linear RGB and alpha of the air; three numbers mean alpha 1."""
     path: str = eqx.field(static=True, default="depth")
     """What a width is: "depth" along the camera's axis, as in the paper, or "distance" along the
@@ -209,7 +207,7 @@ class Atmosphere(eqx.Module):
 class Sun(eqx.Module):
     """A disc of uniform brightness at infinity."""
 
-    direction: Vector = eqx.field(converter=_unit("sun.direction"))
+    direction: Three = eqx.field(converter=_unit("sun.direction"))
     """Unit vector from the planet toward the sun."""
     angular_radius_deg: Scalar = eqx.field(
         converter=converter("sun.angular_radius_deg"), default=EARTH_SUN_ANGULAR_RADIUS_DEG
@@ -227,7 +225,7 @@ class Sun(eqx.Module):
 class Occluder(eqx.Module):
     """Another sphere: it casts its shadow on the air, and hides in black what lies behind it."""
 
-    center: Vector = eqx.field(converter=converter("occluder.center"))
+    center: Three = eqx.field(converter=converter("occluder.center"))
     """Centre, scene length units."""
     radius: Scalar = eqx.field(converter=converter("occluder.radius"))
     """Radius, > 0."""

@@ -9,6 +9,7 @@ device in float32 or float64 JAX, and the same functions serve both.
 
 from collections.abc import Callable
 from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +34,15 @@ Mask = Bool[AnyArray, "h w"]
 """True where a pixel counts."""
 Scalar = float | np.floating | Float[AnyArray, ""]
 """One number: a Python float, a NumPy scalar or a 0-d array (a tracer included)."""
+
+if TYPE_CHECKING:
+    # A field holds an array, and its constructor takes any numbers in a row: Python's types have no
+    # word for a field whose converter takes more than it gives (PEP 681).
+    Three = Any
+    Four = Any
+else:
+    Three = Float[AnyArray, "3"]
+    Four = Float[AnyArray, "4"]
 
 
 def namespace(*arrays: object) -> ModuleType:

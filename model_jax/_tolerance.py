@@ -36,7 +36,7 @@ class WidthRanges:
     back: Float[np.ndarray, "h w"]
     """Deepest end of the air, likewise."""
     stretch: Float[np.ndarray, "h w"]
-    """Of widths against eye depths: 1 unless they are lengths along rays."""
+    """Ratio of widths to eye depths: 1 unless they are lengths along rays."""
     silhouette: Bool[np.ndarray, "h w"]
     """Where it depends on the displacement what the ray meets at all: air, ground, a shadow."""
 

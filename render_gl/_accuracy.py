@@ -45,6 +45,7 @@ SNAP = np.sqrt(0.5) / 256
 TRANSFORM_ULP = 8
 RAY_ULP = 12
 ALONG_ULP = 12
+"""Roundings of a mesh's transform, of a ray's intersection, of a length along it; counted above."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Prediction:
     """Bounds on the width errors of rasterised layers, in scene length units."""
 
     bound: Float[np.ndarray, "2 h w"]
-    """Of lit and dark width."""
+    """Largest difference that is explained, of lit and dark width."""
     silhouette: Bool[np.ndarray, "h w"]
     """Where only the widest chord bounds the error."""
     chord: float

@@ -31,7 +31,7 @@ WINDOW_ULP = 9
 """Window depth is a difference times a factor over an eye depth, at most 1: 4 roundings of ½ ulp,
 and a quotient of 2½."""
 LINEAR_ULP = 8
-"""Of eye depth: three products and sums of the transform, interpolation, clamp and scaling."""
+"""Error of eye depth: three products and sums of the transform, interpolation, clamp, scaling."""
 
 
 @dataclass(frozen=True)

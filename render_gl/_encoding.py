@@ -27,7 +27,7 @@ and 4 times in those of 2,000, of which this cannot tell."""
 _WRONG = 1e-3
 """Misfit from which numbers in [0, 1] are no eye depths: float32 has 1e-6, the others 2e-3 up."""
 _CONSTANTS = (1.0, *(10.0**k for k in range(-6, 4) if k))
-"""Of logarithmic depths, that are tried."""
+"""C of logarithmic depths that are tried, the usual one first."""
 
 
 def check_encoding(path: PathLike, textures: DepthTextures) -> None:

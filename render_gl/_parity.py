@@ -41,7 +41,9 @@ if TYPE_CHECKING:
 ROUNDINGS = 11
 STRETCH_ROUNDINGS = 8
 SPECIFIED_DIVISION = 3.0
+"""ulp, counted above."""
 PROBES = 256
+"""Rows and columns of quotients that are tried on the driver."""
 
 
 @dataclass(frozen=True)

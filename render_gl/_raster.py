@@ -46,7 +46,7 @@ BAND = 2**20
 that beside the images themselves there is never more of them than of a small picture."""
 
 COVER_TRIANGLES = 5120
-"""Of the mesh that bounds a sphere's pixels: it is 0.12 % wider than the sphere."""
+"""Triangles of the mesh that bounds a sphere's pixels: it is 0.12 % wider than the sphere."""
 
 COVER_PIXELS = 1 / 16
 """More that it is wider: OpenGL snaps vertices to 1/16 pixel at worst (4 sub-pixel bits)."""
@@ -66,7 +66,7 @@ class Passes:
         self.context: Any = context  # its stub mistypes blend_equation
         self.scene, self.storage = scene, storage
         self.size = (scene.camera.width, 0)
-        """Of a band."""
+        """Width and rows of a band."""
         self.bottom = 0
         """Rows of the picture below it."""
         self.exact = source == "raster"

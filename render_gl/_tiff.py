@@ -20,7 +20,7 @@ class Page(NamedTuple):
     samples: Shaped[np.ndarray, "h w c"]
     """As stored: colours, then whatever else there is."""
     bits: int
-    """Of a sample."""
+    """Bits of a sample."""
     colours: int
     """1 or 3."""
     extra: tuple[str, ...]

@@ -82,7 +82,7 @@ def make_picture(width: int, height: int) -> tuple[Layers, Float[np.ndarray, "h 
     return layers, (clean + noise).astype(np.float32)
 
 
-def make_problem(columns: Columns, more: tuple[str, ...]) -> tuple[Problem, Any]:
+def case_problem(columns: Columns, more: tuple[str, ...]) -> tuple[Problem, Any]:
     parameters = declare(Look(1.0, 0.5), [Response()], free=(*FREE, *more))
     samples = on_device(to_samples([columns]))
     model = Model(Loss("linear"), None, not more)

@@ -16,7 +16,7 @@ from ..photo._pixels import choose_pixels
 from ._case import LARGE, SIZE, Row, make_picture, scene_text
 
 _UNCACHED = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "false"}
-"""Of a process that is to compile its programs, whatever an earlier one has kept."""
+"""Settings of a process that is to compile its programs, whatever an earlier one has kept."""
 
 _FRESH = """
 import json, sys

@@ -30,13 +30,14 @@ from .._fit import fit
 from .._result import FitResult
 from ..photo._pixels import Columns, choose_pixels, take_columns
 from ..solve._descend import exact_gram
-from ..solve._parameters import directions, to_entries
+from ..solve._parameters import free_directions, to_entries
 from ..solve._search import search
-from ._case import FREE, SEED, SIZE, Row, make_picture, make_problem
+from ._case import FREE, SEED, SIZE, Row, case_problem, make_picture
 from ._peers import dense_fit, scipy_fit
 from ._processes import compile_row, memory_row
 
 REPEATS = 7
+"""Runs of each row, of which the median counts: odd, and more than a hiccup or two."""
 
 
 def run_bench(
@@ -120,7 +121,7 @@ def _solve(
     columns: Columns, more: tuple[str, ...] = (), all_pixels: bool = False
 ) -> Float[np.ndarray, " e"]:
     """The search alone: from the used pixels in NumPy arrays to the best vector."""
-    problem, parameters = make_problem(columns, more)
+    problem, parameters = case_problem(columns, more)
     if all_pixels:
         problem = replace(problem, is_rough=True)
     free = [p for p in parameters if p.role == "free"]
@@ -145,12 +146,12 @@ def _pass_rows(
 ) -> dict[str, float]:
     """One exact pass, and the least that reading its numbers could take."""
     progress("one exact pass")
-    problem, parameters = make_problem(columns, ())
+    problem, parameters = case_problem(columns, ())
     free = [p for p in parameters if p.role == "free"]
-    along = directions(free, parameters)[0]
+    directions = free_directions(free, parameters)[0]
     n = len(columns.lit)
     with jax.enable_x64(True):
-        vector, slopes = jnp.asarray(to_entries(parameters)), jnp.asarray(along)
+        vector, slopes = jnp.asarray(to_entries(parameters)), jnp.asarray(directions)
         _, times = _times(
             lambda: exact_gram(vector, slopes, problem.samples, problem.model), 3 * repeats
         )

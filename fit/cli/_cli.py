@@ -24,7 +24,7 @@ from .._choices import JpegHandling, LayerSource, LossName, Sampling, SolverName
 from ..report._export import Format, export_text, write_export
 from ..report._fitted import read_fit
 from . import _assignments as assignments
-from ._drawing import NOTHING_IN_VIEW, draw, in_view, parse_size, write_png
+from ._drawing import NOTHING_IN_VIEW, draw_scene, in_view, parse_size, write_png
 from ._guard import check_devices, guard, tell
 from ._outputs import check_folder, prepare_folder, versions
 from ._progress import computing, console, say
@@ -114,7 +114,7 @@ def render(
             facts |= {"depth": depth_format, "depth_error": choice.error, "reason": choice.reason}
             told += f", {depth_format} depths: {choice.reason}"
         step("drawing")
-        layers, picture = draw(drawn, file.look, source, depth_format)
+        layers, picture = draw_scene(drawn, file.look, source, depth_format)
         step("writing")
         if suffix == ".exr":
             render_gl.write_layers(out, layers, drawn, picture)

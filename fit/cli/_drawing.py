@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from model_jax import Layers, Look, Scene
 
 
-def draw(
+def draw_scene(
     scene: "Scene", look: "Look", source: LayerSource, depth_format: str
 ) -> "tuple[Layers, Any]":
     """Layers, and the picture by their source's own combine: JAX's for analytic, else the shader's.

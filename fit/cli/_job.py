@@ -38,7 +38,7 @@ from ..report._report import report_html
 from ..solve._declare import declare
 from ..solve._parameters import to_entries, to_look, to_responses
 from ._outputs import prepare_folder, remove, versions, write_text
-from ._written import View, write_maps, write_photo
+from ._written import PhotoView, write_maps, write_photo
 
 
 @dataclass(frozen=True)
@@ -53,16 +53,16 @@ class Job:
     near: float | None = None
     far: float | None = None
     encoding: Encoding | None = None
-    """Of the layers' depths; None: as their file says."""
+    """How the layers' depths are coded; None: as their file says."""
     constant: float = 1.0
-    """Of logarithmic depths."""
+    """C of logarithmic depths."""
     source: LayerSource = "raster"
     """Where a scene's layers come from."""
     depth_format: str = "linear"
     tone_curve: str | None = None
-    """Of one photo; several have theirs in their scenes."""
+    """The photo's, if there is one; several have theirs in their scenes."""
     mask: str | None = None
-    """Of one photo, as its tone curve."""
+    """The photo's, if there is one, as its tone curve."""
     free: tuple[str, ...] | None = None
     start: Mapping[str, float] = field(default_factory=dict)
     """Start values of look and response, by name; without one the first scene's look."""
@@ -98,7 +98,7 @@ def run_job(
     _check_names(job, look, responses)  # slips are found out before the work, not after
     folder = prepare_folder(out)
     map_large_blocks()
-    views: list[View] = []
+    views: list[PhotoView] = []
     layers: list[Layers] = []
     seconds = {"render": 0.0}
     for number in range(len(job.photos)):
@@ -184,7 +184,7 @@ def make_layers(scene: Scene, source: LayerSource, depth_format: str) -> Layers:
     return render_gl.render(scene, depth_format, source)
 
 
-def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> View:
+def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> PhotoView:
     """The photo; a scene's [photo] table speaks of the scene's own photo, of no other."""
     name = job.photos[number]
     own = file is not None and os.path.realpath(name) == file.photo.path
@@ -194,13 +194,13 @@ def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> View:
         job.mask,
     )
     if file is None:
-        return View(path_text(name), photo, None, None)
+        return PhotoView(path_text(name), photo, None, None)
     height, width = photo.shape
     scene = _at_photo_size(file.scene, width, height, name)
-    return View(path_text(name), photo, scene, path_text(job.scenes[number]))
+    return PhotoView(path_text(name), photo, scene, path_text(job.scenes[number]))
 
 
-def _layers(job: Job, view: View) -> Layers:
+def _layers(job: Job, view: PhotoView) -> Layers:
     """Drawn, or read."""
     if view.scene is not None:
         return make_layers(view.scene, job.source, job.depth_format)
@@ -226,7 +226,7 @@ def _at_photo_size(scene: Scene, width: int, height: int, photo: str) -> Scene:
 
 def _document(
     job: Job,
-    views: Sequence[View],
+    views: Sequence[PhotoView],
     layers: Sequence[Layers],
     result: FitResult,
     seconds: dict[str, float],
@@ -249,7 +249,7 @@ def _document(
     }
 
 
-def _about(view: View, layers: Layers) -> dict[str, Any]:
+def _about(view: PhotoView, layers: Layers) -> dict[str, Any]:
     """A photo, and what its layers are of: with the look all that its light is made from."""
     scene = view.scene
     return {

@@ -29,7 +29,7 @@ _BAND = 2**18
 
 
 @dataclass(frozen=True)
-class View:
+class PhotoView:
     """A photo and how it was seen."""
 
     name: str
@@ -72,7 +72,7 @@ def told_first(result: FitResult) -> str | None:
 
 
 def write_photo(
-    folder: Path, view: View, layers: Layers, result: FitResult, number: int, maps: Maps
+    folder: Path, view: PhotoView, layers: Layers, result: FitResult, number: int, maps: Maps
 ) -> Section:
     """Write the EXR files of one photo; returns its part of the report."""
     told, ending = result.photos[number], _ending(result, number)
@@ -84,7 +84,7 @@ def write_photo(
         return photo_section(view.name, view.photo, None, told.used, None, count=count)
     # Brightness refers to the first photo's width unit; so must the widths.
     layers = replace(jax.tree.map(np.asarray, layers), width_unit=result.width_unit)
-    planes, shadowed = predict(layers, result.look, told.response, told.mix)
+    planes, shadowed = predict_photo(layers, result.look, told.response, told.mix)
     del layers
     give_back()
     picture = np.moveaxis(planes, 0, -1)
@@ -112,11 +112,11 @@ def write_photo(
 
 
 def _ending(result: FitResult, number: int) -> str:
-    """Of file names: with the photo's number where there are several."""
+    """How a photo's file names end: with its number where there are several."""
     return f"-{number + 1}.exr" if len(result.photos) > 1 else ".exr"
 
 
-def predict(
+def predict_photo(
     layers: Layers,
     look: Look,
     response: Response,

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from scipy.special import fdtrc
 
 from ..photo._pixels import block_numbers
+from ..solve._scaled import unit_diagonal
 from ._autocorrelation import correlation
 from ._patterns import CAUSES, Patch, pixel_average
 from ._spread import LEAST_BLOCK, LENGTHS, inverse_root, stretch_of
@@ -36,9 +37,9 @@ class Amounts:
     """What was found of a cause."""
 
     amounts: Float[np.ndarray, " k"]
-    """Of each of its columns."""
+    """How much there is of each of its columns."""
     covariance: Float[np.ndarray, "k k"]
-    """Of these, by the scatter of blocks."""
+    """Covariance of these, by the scatter of blocks."""
     chance: float
     """That noise looks like this."""
     gained: float
@@ -59,7 +60,7 @@ class Sums:
 
     products: Float[np.ndarray, "blocks k k"]
     count: int
-    told: Float[np.ndarray, "t p"]
+    identified: Float[np.ndarray, "t p"]
     """Rows of the told parameters."""
     slopes_of: Float[np.ndarray, "t p"]
     """Makes slopes along the free directions of influences."""
@@ -75,12 +76,12 @@ class Sums:
         patch: Patch,
         slopes: Float[np.ndarray, "t 3 m"],
         left: Float[np.ndarray, "m 3"],
-        told: Float[np.ndarray, "t p"],
+        identified: Float[np.ndarray, "t p"],
         slopes_of: Float[np.ndarray, "t p"],
         curved: Float[np.ndarray, "p p"],
         add_own: bool,
     ) -> "Sums | None":
-        """Of measured samples; None if there is none.
+        """The sums over measured samples; None if there is none.
 
         Blocks are larger than what is left over without all causes hangs together. `curved` is
         without these samples' own products where they are to be added.
@@ -116,7 +117,7 @@ class Sums:
         if add_own:
             curved = curved + slopes_of.T @ products.sum(axis=0)[slope, slope] @ slopes_of
         average = slice(count - 2, count - 1)
-        return Sums(products, len(rows), told, slopes_of, curved, slope, causes, average)
+        return Sums(products, len(rows), identified, slopes_of, curved, slope, causes, average)
 
     @cached_property
     def total(self) -> Float[np.ndarray, "k k"]:
@@ -132,7 +133,7 @@ class Sums:
         """By which one unit of columns moves the told parameters, were all pixels such as these."""
         pulled = self.slopes_of.T @ self.total[self.slopes, part]
         root = inverse_root(self.curved)
-        return np.asarray(self.told @ root @ (root.T @ pulled))
+        return np.asarray(self.identified @ root @ (root.T @ pulled))
 
     def without_average(self, share: float) -> "Sums":
         """The same with so much of the mean over pixels' squares taken from what is left over."""
@@ -172,9 +173,9 @@ class Sums:
         ratio = float(amounts @ np.linalg.solve(middle, amounts)) / q
         ratio *= (freedom - q + 1) / freedom
         # What the photo says of the amounts and what is said before, multiplied.
-        told = np.linalg.inv(middle)
-        likely = np.linalg.inv(told + kept.T @ kept / PRIOR**2)
-        mean = likely @ told @ amounts
+        identified = np.linalg.inv(middle)
+        likely = np.linalg.inv(identified + kept.T @ kept / PRIOR**2)
+        mean = likely @ identified @ amounts
         moved = self.shift_of(part) @ kept
         return Amounts(
             amounts=kept @ amounts,
@@ -209,9 +210,7 @@ def _solved(
     By the normal equations, of columns of one length; told tints are dependent.
     """
     target = products[of, -1] if part is None else products[of, part]
-    size = np.sqrt(np.diag(products)[of])
-    size = np.where(size > 0, size, 1.0)
-    scaled = products[np.ix_(of, of)] / size / size[:, None]
+    scaled, size = unit_diagonal(products[np.ix_(of, of)])
     found = np.linalg.pinv(scaled, rcond=SPANNED**1.5, hermitian=True) @ (target.T / size).T
     return np.asarray((found.T / size).T)
 

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from ..photo._pixels import Columns
 
 LAGS = 64
+"""Most pixels over which residuals are compared: four of JPEG's largest blocks."""
 
 
 def area_of(

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ._effective import Window, effective_samples
+from ._effective import Part, effective_samples
 from ._limb import Light, Limb, limb_of, normal_distribution
 
 EVIDENCE = 10.0
@@ -45,7 +45,7 @@ next to the disc would be a fault of the camera."""
 
 _STEPS = 60
 _GAIN = 1e-6
-"""Of a search: where it ends, and the most that it takes. A ten-thousandth of `EVIDENCE` in a
+"""Most steps of a search, and the gain at which it ends: a ten-thousandth of `EVIDENCE` in a
 thousand independent samples."""
 _SEARCHED = (10_000, 50_000)
 """Pixels by the limb that the coarse and the fine search look at, evenly chosen; the square sum of
@@ -363,12 +363,12 @@ def _residual(
     widths: Sequence[Float[np.ndarray, "h w"]],
     limb: Limb,
     model: LimbModel,
-) -> Callable[[Window], Float[np.ndarray, "h w 3"]]:
+) -> Callable[[Part], Float[np.ndarray, "h w 3"]]:
     """Photo less model, window by window."""
     p = np.array([np.log(model.blur_px), *model.shift_px, model.halo])
     row, col = np.divmod(limb.index, width)
 
-    def residual(window: Window) -> Float[np.ndarray, "h w 3"]:
+    def residual(window: Part) -> Float[np.ndarray, "h w 3"]:
         part = light[window] - np.asarray(model.level)
         for column, amounts in zip(widths, model.widths, strict=True):
             part -= np.asarray(column)[window][..., None].astype(np.float64) * amounts

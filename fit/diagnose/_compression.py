@@ -32,11 +32,11 @@ from jaxtyping import Float
 from model_jax import Layers
 
 from .._compile import float64
-from ..photo._camera import SEED, Camera, left_over, near_used
+from ..photo._camera import SEED, JpegCamera, left_over, near_used
 from ..photo._photo import Photo
 from ..photo._pixels import Columns, PhotoLike, size_of, take_columns
-from ..solve._model import Model, Prior
-from ..solve._parameters import Entries, Parameter, is_outside
+from ..solve._model import Model, PriorTerm
+from ..solve._parameters import Entries, FitParameter, is_outside
 from ..solve._polish import gauss_newton
 from ..solve._problem import Point, Problem
 from ..solve._samples import relit
@@ -68,10 +68,11 @@ _MEASURED = 4
 _ROBUST_STEPS = 4
 """A robust loss's step leaves a fifth of the way: it weighs samples as they lay before."""
 _HALVINGS = 20
+"""After that many a step is a millionth of itself, and its centre is within bounds."""
 
 
 @dataclass(frozen=True)
-class Undone:
+class Debiased:
     """What the line says, along the free directions."""
 
     shift: Float[np.ndarray, " p"]
@@ -85,13 +86,13 @@ def undo_compression(
     point: Point,
     photos: Sequence[PhotoLike],
     layers: Sequence[Layers],
-    free: Sequence[Parameter],
+    free: Sequence[FitParameter],
     covariance: Float[np.ndarray, "p p"],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
     area: float,
     noise: float,
     structured: bool,
-) -> Undone | str:
+) -> Debiased | str:
     """The look before compression, or why the photos do not tell it, in words.
 
     Args:
@@ -105,11 +106,11 @@ def undo_compression(
     again = _Again.of(point, photos, layers, residuals, noise)
     if structured and area > ALIKE * again.area(np.random.SeedSequence(SEED)):
         return "what is left over hangs together as compression does not make it"
-    p = point.along.shape[1]
+    p = point.directions.shape[1]
     count = max(PAIRS, 4 * (p + 1))
     chance = [SEED, *(_checksum(photo) for photo in photos)]
     shift = np.zeros(p)
-    found: Undone | None = None
+    found: Debiased | None = None
     with ThreadPoolExecutor(_threads(point.problem)) as pool:
         for number in range(ROUNDS):
             *seeds, own = np.random.SeedSequence([*chance, number]).spawn(count + 1)
@@ -125,7 +126,7 @@ def undo_compression(
             shift = _bounded(shift, covariance, point, free)
             # Made-up noise does not hang together before compression; noise that did tells less.
             covariance = covariance * max(1.0, area / max(areas))
-            found = Undone(shift, covariance, float(count - p - 1))
+            found = Debiased(shift, covariance, float(count - p - 1))
             if _growth(before, covariance) <= SETTLED:
                 break
     if found is None:
@@ -141,7 +142,7 @@ class _Again:
     near: Problem
     """Unused pixels that share a coded block with used ones."""
     sizes: tuple[tuple[int, int], ...]
-    cameras: tuple[Camera, ...]
+    cameras: tuple[JpegCamera, ...]
     noise: float
     robust: bool
 
@@ -163,7 +164,7 @@ class _Again:
         around = problem.beside(near)
         robust = problem.model.loss.name != "linear"
         parts = zip(photos, problem.columns, near, _picture(point, around), residuals, strict=True)
-        cameras = tuple(Camera(p, c, by, *seen, left, robust) for p, c, by, seen, left in parts)
+        cameras = tuple(JpegCamera(p, c, by, *seen, left, robust) for p, c, by, seen, left in parts)
         sizes = tuple(size_of(photo) for photo in photos)
         return cls(point, around, sizes, cameras, noise, robust)
 
@@ -249,7 +250,7 @@ def _inside(
     step: Float[np.ndarray, " p"],
     center: Float[np.ndarray, " p"],
     point: Point,
-    free: Sequence[Parameter],
+    free: Sequence[FitParameter],
 ) -> Float[np.ndarray, " p"]:
     """The step, its way from the centre halved until it stays within all bounds."""
     for _ in range(_HALVINGS):
@@ -263,7 +264,7 @@ def _bounded(
     shift: Float[np.ndarray, " p"],
     covariance: Float[np.ndarray, "p p"],
     point: Point,
-    free: Sequence[Parameter],
+    free: Sequence[FitParameter],
 ) -> Float[np.ndarray, " p"]:
     """The likeliest shift within all bounds, given that they hold: what is beyond goes to its
     bound, and what is correlated with it follows."""
@@ -272,7 +273,7 @@ def _bounded(
         beyond = [p for p in free if not p.lower <= p.of(here) <= p.upper]
         if not beyond:
             break
-        row = point.along[beyond[0].entries[0]]
+        row = point.directions[beyond[0].entries[0]]
         pull = covariance @ row
         excess = beyond[0].of(here) - np.clip(beyond[0].of(here), beyond[0].lower, beyond[0].upper)
         # An ulp further, or rounding leaves it outside.
@@ -327,4 +328,4 @@ def _reminded(model: Model, here: Entries, noise: float, rng: np.random.Generato
     sigma = np.where(weight > 0, noise / np.sqrt(np.where(weight > 0, weight, 1)), 0)
     mean = here + sigma * rng.normal(size=len(here))
     with float64():
-        return replace(model, prior=Prior(jnp.asarray(mean), prior.weight))
+        return replace(model, prior=PriorTerm(jnp.asarray(mean), prior.weight))

@@ -5,12 +5,12 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
-Window = tuple[slice, slice]
+Part = tuple[slice, slice]
 """Rows and columns of the photo."""
 
 
 def effective_samples(
-    residual: Callable[[Window], Float[np.ndarray, "h w 3"]],
+    residual: Callable[[Part], Float[np.ndarray, "h w 3"]],
     used: Bool[np.ndarray, "h w"],
     squares: bool = False,
 ) -> float:
@@ -47,10 +47,11 @@ def effective_samples(
 _LAGS = 64
 _WINDOW = 128
 _WINDOWS = 64
+"""Most lag and sides of the tiles, px, and how many of these are looked at: a megapixel in all."""
 
 
 def _correlation(
-    residual: Callable[[Window], Float[np.ndarray, "h w 3"]],
+    residual: Callable[[Part], Float[np.ndarray, "h w 3"]],
     used: Bool[np.ndarray, "h w"],
     squares: bool,
 ) -> tuple[Float[np.ndarray, "3 3"], float]:

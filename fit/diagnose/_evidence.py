@@ -13,7 +13,7 @@ from model_jax._shapes import AnyArray
 from .._compile import float64, program
 from .._result import OnDemand
 from ..solve._loss import Loss, weigh
-from ..solve._parameters import Parameter
+from ..solve._parameters import FitParameter
 from ..solve._problem import Point, Problem
 from ..solve._search import End
 from ..solve._task import Task
@@ -34,7 +34,7 @@ class Evidence(OnDemand):
     end: End
     point: Point
     """The end point, along `end.free`."""
-    told: tuple[Parameter, ...]
+    identified: tuple[FitParameter, ...]
     spread: Spread
     noise: float
     """Standard deviation of a sample."""
@@ -46,11 +46,11 @@ class Evidence(OnDemand):
     @cached_property
     def rows(self) -> Float[np.ndarray, "t p"]:
         """Rows of the told parameters along the free directions."""
-        rows = [p.of(self.point.along) for p in self.told]
-        return np.array(rows).reshape(len(self.told), self.point.along.shape[1])
+        rows = [p.of(self.point.directions) for p in self.identified]
+        return np.array(rows).reshape(len(self.identified), self.point.directions.shape[1])
 
     def influence(self, name: str) -> list[Float[np.ndarray, "_ _ 3"]]:
-        row = self.rows[[p.name for p in self.told].index(name)]
+        row = self.rows[[p.name for p in self.identified].index(name)]
         return influence_maps(self.point, self.task.sizes, row, self.spread.hessian)
 
     def weights(self) -> list[Float[np.ndarray, "_ _"]]:
@@ -66,6 +66,7 @@ class Evidence(OnDemand):
 
 
 CHUNK = 65536
+"""Samples at once: a megabyte and a half for each array on the way."""
 
 
 def belief_in(residual: Float[np.ndarray, "n 3"], loss: Loss) -> Float[np.ndarray, "n 3"]:

@@ -24,7 +24,7 @@ from ._residuals import tile_groups
 def rounding_bound(
     point: Point,
     half_steps: Sequence[Float[np.ndarray, "_ 3"] | None],
-    to_told: Float[np.ndarray, "t p"],
+    to_identified: Float[np.ndarray, "t p"],
     hessian: Float[np.ndarray, "p p"],
 ) -> Float[np.ndarray, " t"]:
     """How far the photos' rounding to codes can move the parameters at most, to first order.
@@ -32,8 +32,8 @@ def rounding_bound(
     Every sample is off by half a code step at most, and the worst case has all of them conspire:
     `Σ |influence| · half step`. No statistics enter, so it is a bound where rounding is no noise.
     """
-    response = np.linalg.solve(hessian, to_told.T)
-    bound = np.zeros(len(to_told))
+    response = np.linalg.solve(hessian, to_identified.T)
+    bound = np.zeros(len(to_identified))
     starts = [0] * len(half_steps)
     for photo, influence in influences(point, response):
         n = influence.shape[-1]
@@ -48,7 +48,7 @@ def rounding_bound(
 def influence_maps(
     point: Point,
     sizes: Sequence[tuple[int, int]],
-    to_told: Float[np.ndarray, " p"],
+    to_identified: Float[np.ndarray, " p"],
     hessian: Float[np.ndarray, "p p"],
 ) -> list[Float[np.ndarray, "_ _ 3"]]:
     """Derivative of one fitted parameter by each recorded sample; 0 where no pixel was used.
@@ -58,7 +58,7 @@ def influence_maps(
     # A plane for each channel, as files store them.
     maps = [np.moveaxis(np.zeros((3, *size), np.float32), 0, -1) for size in sizes]
     starts = [0] * len(sizes)
-    response = np.linalg.solve(hessian, to_told)
+    response = np.linalg.solve(hessian, to_identified)
     for photo, influence in influences(point, response[:, None]):
         n = influence.shape[-1]
         index = point.problem.columns[photo].index[starts[photo] : starts[photo] + n]
@@ -72,11 +72,15 @@ def influences(
     point: Point, response: Float[np.ndarray, "p t"]
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Photo and influence [t, 3, n] of each tile; `response` is H⁻¹ × what is asked."""
-    samples, model, along = point.problem.samples, point.problem.model, point.along @ response
+    samples, model, directions = (
+        point.problem.samples,
+        point.problem.model,
+        point.directions @ response,
+    )
     count, photo = np.asarray(samples.count), np.asarray(samples.photo)
     with float64():
         for filled, numbers in tile_groups(samples):
-            found = np.asarray(_tile_influence(point.vector, along, samples, model, numbers))
+            found = np.asarray(_tile_influence(point.vector, directions, samples, model, numbers))
             for k in range(filled):
                 number = numbers[k]
                 yield int(photo[number]), found[k, ..., : count[number]]
@@ -84,11 +88,11 @@ def influences(
 
 @program
 def _tile_influence(
-    vector: AnyArray, along: AnyArray, samples: Samples, model: Model, numbers: AnyArray
+    vector: AnyArray, directions: AnyArray, samples: Samples, model: Model, numbers: AnyArray
 ) -> jax.Array:
     def influence(number: jax.Array) -> jax.Array:
         tile = tile_at(samples, number)
-        predicted, slopes = tile_slopes(vector, along, tile, model.linear)
+        predicted, slopes = tile_slopes(vector, directions, tile, model.linear)
 
         def score_of(light: jax.Array) -> jax.Array:
             return weigh(predicted - light, tile.clipped, model.loss)[1]

@@ -22,6 +22,7 @@ shifted edge."""
 _INSIDE = 4
 """The outermost pixels of the disc do not count as disc: they hold the blurred edge."""
 _TILE = 64
+"""Side of the tiles that are blurred, px: eight supports of the Gaussian."""
 
 
 @dataclass(frozen=True)

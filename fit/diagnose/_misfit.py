@@ -52,11 +52,12 @@ CLIP = 4.0
 """Noise's distance from a clipped sample's bound within which no sample is looked at."""
 
 ROUNDED = 0.25
-"""Of half a code step, and"""
+"""Share of half a code step, and"""
 FAINT = 1e-4
 """of the light: what a cause must add for a word. Less may be rounding."""
 
 _SEED = 16
+"""Shuffles the squares: the same pixels are looked at each time."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class Doubts:
 def find_doubts(
     point: Point,
     layers: Sequence[Layers],
-    to_told: Float[np.ndarray, "t p"],
+    to_identified: Float[np.ndarray, "t p"],
     hessian: Float[np.ndarray, "p p"],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
     believed: Sequence[Bool[np.ndarray, "_ 3"]],
@@ -91,19 +92,19 @@ def find_doubts(
         half_steps: of the photos' codes.
         look_for_causes: else only what sampling does is counted.
     """
-    if not len(to_told) or not (look_for_causes or sampling == "area"):
-        return Doubts((), np.zeros((len(to_told), len(to_told))))
-    columns, along, known = point.problem.columns, point.along, point.problem.model.prior
-    influence = np.linalg.solve(hessian, to_told.T)
+    if not len(to_identified) or not (look_for_causes or sampling == "area"):
+        return Doubts((), np.zeros((len(to_identified), len(to_identified))))
+    columns, directions, known = point.problem.columns, point.directions, point.problem.model.prior
+    influence = np.linalg.solve(hessian, to_identified.T)
     length = np.linalg.norm(influence, axis=1)
     length = np.where(length > 0, length, 1.0)
     slopes_of = np.linalg.pinv(influence / length[:, None]) / length
-    weight = np.zeros(len(along)) if known is None else np.asarray(known.weight)
-    prior = (along.T * weight) @ along
+    weight = np.zeros(len(directions)) if known is None else np.asarray(known.weight)
+    prior = (directions.T * weight) @ directions
     nobody = np.zeros(0, np.intp)
     unit = float(layers[0].width_unit)
     found: list[Misfit] = []
-    covariance = np.zeros((len(to_told), len(to_told)))
+    covariance = np.zeros((len(to_identified), len(to_identified)))
     for number, (c, of) in enumerate(zip(columns, layers, strict=True)):
         height, width = np.shape(of.front)
         size = (height, width)
@@ -132,7 +133,7 @@ def find_doubts(
         if add_own:  # a part's own products, for the sums of what nearly cancels are its own
             curved = prior * share
         sums = Sums.of(
-            patch, np.concatenate(slopes, axis=-1), left, to_told, slopes_of, curved, add_own
+            patch, np.concatenate(slopes, axis=-1), left, to_identified, slopes_of, curved, add_own
         )
         if sums is None:
             continue
@@ -167,13 +168,13 @@ def _may_clip(
 def _doubts_of(
     sums: "Sums", number: int, least: float
 ) -> tuple[list[Misfit], Float[np.ndarray, "t t"]]:
-    """Of one photo: what is worth a word, and by how much told parameters may be off; a mean
+    """What is worth a word in one photo, and by how much identified parameters may be off; a mean
     square.
 
     Args:
         least: what a cause must add for a word, as a root mean square of light.
     """
-    moved = np.zeros((len(sums.told), len(sums.told)))
+    moved = np.zeros((len(sums.identified), len(sums.identified)))
     misfits: list[Misfit] = []
     beside = [sums.slopes]
     causes = dict(sums.causes)

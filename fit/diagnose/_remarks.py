@@ -7,11 +7,12 @@ from jaxtyping import Float
 
 from model_jax import Layers
 
+from .._choices import CHANNELS
 from .._result import FitResult, LeftOut, PhotoResult
 from .._verdict import STRUCTURED_PX, WELL_EXPLAINED
 from ..photo._photo import Photo
 from ..photo._pixels import Columns, Pixels, as_picture, light_at, take_columns
-from ..solve._parameters import CHANNELS, Parameter, directions
+from ..solve._parameters import FitParameter, free_directions
 from ..solve._task import Task
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
 from ._evidence import BELIEVED, CHUNK, Evidence, explained_share
@@ -30,7 +31,7 @@ def pixel_remarks(pixels: Sequence[Pixels]) -> list[LeftOut]:
 
 def leave_out(
     task: Task, columns: Sequence[Columns]
-) -> tuple[tuple[Parameter, ...], list[LeftOut]]:
+) -> tuple[tuple[FitParameter, ...], list[LeftOut]]:
     """What can be fitted at all: no weight without shadow, no tint without colour or alone."""
     asked = [p for p in task.parameters if p.role == "free"]
     left_out: list[LeftOut] = []
@@ -59,7 +60,7 @@ def leave_out(
         left_out += [LeftOut(name, "a grey photo does not tell colours") for name in named]
         asked = [p for p in asked if p not in tints]
         tints = []
-    if tints and not directions(tints, task.parameters)[0].shape[1]:
+    if tints and not free_directions(tints, task.parameters)[0].shape[1]:
         left_out.append(LeftOut(tints[0].name, "the mean of the tints fixes the only free one"))
         asked.remove(tints[0])
     return tuple(asked), left_out
@@ -69,7 +70,7 @@ def why_no_data(
     task: Task,
     pixels: Sequence[Pixels],
     columns: Sequence[Columns],
-    asked: tuple[Parameter, ...],
+    asked: tuple[FitParameter, ...],
 ) -> str | None:
     """Why there is nothing to fit, or None."""
     for number, (photo, px, c) in enumerate(zip(task.photos, pixels, columns, strict=True)):
@@ -87,7 +88,7 @@ def why_no_data(
         constant = not (np.nanmax(light, axis=0) > np.nanmin(light, axis=0)).any()
         if constant and c.clipped is None and _varies(c):
             return f"{which}the photo is the same in all pixels used, the air is not"
-    need = directions(asked, task.parameters)[0].shape[1] + 1
+    need = free_directions(asked, task.parameters)[0].shape[1] + 1
     count = sum(px.count for px in pixels)
     if count < need:
         return f"the number of pixels that can be used is {count}, needed are {need}"
@@ -190,15 +191,15 @@ def warnings_of(
 ) -> list[str]:
     found = []
     explained, errors = result.explained, result.errors
-    told = [result.parameters[name] for name in result.correlation_names]
-    undone = bool(told) and all(e.compression_shift is not None for e in told)
+    identified = [result.parameters[name] for name in result.correlation_names]
+    debiased = bool(identified) and all(e.compression_shift is not None for e in identified)
     if explained is not None and explained < WELL_EXPLAINED:
         found.append(
             "Look at what is left over: where it has structure, this look cannot follow the photo."
         )
     found += _misfit_warnings(result)
     found += file_remarks(task)
-    seen = undone or result.misfits or (explained or 0) >= 1 - 1e-6
+    seen = debiased or result.misfits or (explained or 0) >= 1 - 1e-6
     if errors is not None and errors.correlation_px > STRUCTURED_PX and not seen:
         remedy = ""
         if task.loss == "linear" and _sticks_out(residuals):
@@ -219,7 +220,7 @@ def warnings_of(
         )
     found += _value_warnings(result)
     lossy = any(isinstance(p, Photo) and p.lossy for p in task.photos)
-    if lossy and told and not undone:
+    if lossy and identified and not debiased:
         asked = task.jpeg == "undo"
         found.append(
             "The photo's compression rounds colours block by block, which the intervals know only "
@@ -230,7 +231,7 @@ def warnings_of(
 
 
 def _value_warnings(result: FitResult) -> list[str]:
-    """Of values that are negative, at a bound's edge, or moved by the layers' own errors."""
+    """What is said of values: negative, at a bound's edge, or moved by the layers' own errors."""
     found = []
     negative = [n for n, e in result.parameters.items() if e.stderr and e.value + 3 * e.stderr < 0]
     if any(name.startswith("background") for name in negative):

@@ -17,6 +17,7 @@ from ..solve._problem import Problem
 from ..solve._samples import Samples, tile_at
 
 _GROUP = 8
+"""Tiles at once: one program for photos of all sizes, and half a megabyte for each array."""
 
 
 def residuals_of(problem: Problem, vector: Entries) -> list[Float[np.ndarray, "_ 3"]]:

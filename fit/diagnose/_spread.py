@@ -34,6 +34,7 @@ from ..solve._loss import weigh
 from ..solve._model import Model, tile_slopes
 from ..solve._problem import Point
 from ..solve._samples import Samples, tile_at
+from ..solve._scaled import unit_diagonal
 from ._autocorrelation import LAGS, correlation
 from ._residuals import tile_groups
 
@@ -46,8 +47,8 @@ FEWEST_BLOCKS = 20
 """With fewer, blocks are made smaller, down to the correlation length: a standard error from n
 blocks is itself uncertain by 1 / sqrt(2n), 16 % at 20."""
 MOST_LEVERAGE = 0.95
-"""Of a block: where a parameter hangs on one block alone its noise cannot be seen, and the stretch
-stops at 4.5 instead of at infinity."""
+"""A block's highest: where a parameter hangs on one block alone its noise cannot be seen, and the
+stretch stops at 4.5 instead of at infinity."""
 NORMAL_95 = 1.959963984540054
 """Standard errors to either side of a 95 % interval of a normal distribution."""
 
@@ -70,7 +71,7 @@ class Spread:
     leverage: Float[np.ndarray, "blocks p p"]
     """Rᵀ S R of each block, S its part of F: shares in what is known, which add up to 1."""
 
-    def freedom(self, to_told: Float[np.ndarray, "t p"]) -> Float[np.ndarray, " t"]:
+    def freedom(self, to_identified: Float[np.ndarray, "t p"]) -> Float[np.ndarray, " t"]:
         """Degrees of freedom of each told parameter's variance, ≥ 1.
 
         The variance is a square sum of the blocks' stretched scores z. Were residuals independent
@@ -79,8 +80,8 @@ class Spread:
         has (tr P)² / tr P² degrees of freedom (Satterthwaite, Biometrics Bulletin 2, 1946).
         """
         stretch = stretch_of(self.leverage)
-        found = np.ones(len(to_told))
-        for k, row in enumerate(to_told @ self.root):
+        found = np.ones(len(to_identified))
+        for k, row in enumerate(to_identified @ self.root):
             a = stretch @ row
             pulled = np.einsum("gij,gj->gi", self.leverage, a)
             own = (a * pulled).sum(axis=1)
@@ -126,7 +127,7 @@ def spread_of(
             known better than numbers are.
     """
     columns, prior_of = point.problem.columns, point.problem.model.prior
-    p = point.along.shape[1]
+    p = point.directions.shape[1]
     length, area, products = correlation(columns, sizes, residuals)
     unit = LEAST_BLOCK
     side = unit * int(np.ceil(max(LENGTHS * length, unit) / unit)) if length > 1 else unit
@@ -141,7 +142,7 @@ def spread_of(
     scores, squares, hessian = _block_sums(point, numbers)
     prior = np.zeros((p, p))
     if prior_of is not None:
-        prior = (point.along.T * np.asarray(prior_of.weight)) @ point.along
+        prior = (point.directions.T * np.asarray(prior_of.weight)) @ point.directions
         hessian = hessian + prior
     whiten = inverse_root(squares.sum(axis=0) + prior)
     leverage = whiten.T @ squares @ whiten
@@ -161,9 +162,9 @@ def _block_sums(
 ]:
     """Sums over each block of scores and of squares of slopes, and half the second derivative of
     all, without priors."""
-    vector, along = point.vector, point.along
+    vector, directions = point.vector, point.directions
     samples, model = point.problem.samples, point.problem.model
-    p = along.shape[1]
+    p = directions.shape[1]
     pairs = np.tril_indices(p)
     counts = [int(numbers.max(initial=-1)) + 1 for numbers in blocks]
     sums = [np.zeros((n, p + len(pairs[0]))) for n in counts]
@@ -172,7 +173,7 @@ def _block_sums(
     hessian = np.zeros((p, p))
     with float64():
         for filled, tiles in tile_groups(samples):
-            found, second = map(np.asarray, _tile_scores(vector, along, samples, model, tiles))
+            found, second = map(np.asarray, _tile_scores(vector, directions, samples, model, tiles))
             hessian += second[:filled].sum(axis=0)
             for k in range(filled):
                 n, which = count[tiles[k]], photo[tiles[k]]
@@ -191,11 +192,11 @@ def _block_sums(
 
 @program
 def _tile_scores(
-    vector: AnyArray, along: AnyArray, samples: Samples, model: Model, numbers: AnyArray
+    vector: AnyArray, directions: AnyArray, samples: Samples, model: Model, numbers: AnyArray
 ) -> tuple[jax.Array, jax.Array]:
-    """Of each pixel p scores, then the lower half of its slopes' products, [tiles, q, n]; and half
+    """p scores of each pixel, then the lower half of its slopes' products, [tiles, q, n]; and half
     the second derivative of each tile, [tiles, p, p]."""
-    start, columns = jnp.asarray(vector), jnp.asarray(along)
+    start, columns = jnp.asarray(vector), jnp.asarray(directions)
     pairs = np.tril_indices(columns.shape[1])
 
     def scores(number: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -216,10 +217,10 @@ def _tile_scores(
 
 def inverse_root(hessian: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
     """R with R Rᵀ = H⁻¹, by eigenvalues of H with a unit diagonal."""
-    scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(hessian)), 1e-300))
-    values, vectors = np.linalg.eigh(hessian * scale * scale[:, None])
+    scaled, size = unit_diagonal(hessian)
+    values, vectors = np.linalg.eigh(scaled)
     floor = len(values) * np.finfo(np.float64).eps
-    return np.asarray(scale[:, None] * vectors / np.sqrt(np.maximum(values, floor)))
+    return np.asarray(vectors / np.sqrt(np.maximum(values, floor)) / size[:, None])
 
 
 def stretch_of(leverage: Float[np.ndarray, "blocks p p"]) -> Float[np.ndarray, "blocks p p"]:

@@ -19,7 +19,7 @@ from ._pixels import Columns, PhotoLike, with_codes
 from ._read import orient
 
 SEED = 20261123
-"""Of the made-up noise, together with a photo's codes: a fit gives the same result each time, and
+"""Makes the noise, together with a photo's codes: a fit gives the same result each time, and
 what few looks happen to say of one photo is not said of all."""
 
 LEVELS = 8
@@ -39,7 +39,7 @@ _LOW = tuple((row, col) for row in range(5) for col in range(5) if 0 < row + col
 """Frequencies whose numbers of steps are compared: higher ones are 0 as a rule."""
 _MOST_STEPS = 8
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
-"""Of codes, as JFIF weighs them (ITU-R BT.601)."""
+"""Weights of codes in luma, as JFIF weighs them (ITU-R BT.601)."""
 _COMPARED = 8
 """Files made up to compare with."""
 
@@ -51,7 +51,7 @@ _BLOCK = 16
 _REACH = 4
 """Half the squares over which unused pixels are averaged: a ninth of their noise is left."""
 _CELLS = 2**18
-"""Of light, with a code each: 1/80 of the narrowest code of sRGB."""
+"""Cells of light, with a code each: 1/80 of the narrowest code of sRGB."""
 _ALIKE = 5.0
 """Standard deviations up to which an unused pixel agrees with the model."""
 
@@ -63,7 +63,7 @@ def is_coarse(jpeg: Jpeg) -> bool:
 
 
 def left_over(columns: Columns, light: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """As `residuals_of`."""
+    """Residuals, as `residuals_of` gives them."""
     left = columns.light - light
     if columns.clipped is not None:
         left[columns.clipped != 0] = np.nan
@@ -114,12 +114,12 @@ class _Window(NamedTuple):
     """Which one it is, of those used and then of those near."""
     told_place: Int[np.ndarray, " u"]
     told_rank: Int[np.ndarray, " u"]
-    """Of those that are used, and not in the margins."""
+    """Where those are that are used and in no margin: in the window, and in the columns."""
     blocks: Int[np.ndarray, " b"]
     """Numbers of the whole blocks that hold one of these."""
 
 
-class Camera:
+class JpegCamera:
     """Takes a photo as one was taken, of other light: noise, codes, compression.
 
     Unused pixels that share coded blocks with used ones share their errors. What the file shows of

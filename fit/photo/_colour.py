@@ -25,8 +25,10 @@ _SRGB_D50 = (0.4361, 0.2225, 0.0139, 0.3851, 0.7169, 0.0971, 0.1431, 0.0606, 0.7
 _ALIKE = 0.01
 """Chromaticities are written with two digits and more; the next primaries differ by 0.05."""
 _SAME_CURVE = 1e-3
-"""Of light in [0, 1]: a quarter of an 8-bit code. Tables of sRGB's curve differ by 2e-4."""
+"""Difference of light in [0, 1] up to which two curves are one: a quarter of an 8-bit code. Tables
+of sRGB's curve differ by 2e-4."""
 _NODES = 4096
+"""Points of a curve that is kept as a table: 12 bits, as fine as profiles have them."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def of_png(data: bytes) -> Colours:
 
 
 def of_icc(read: Callable[[], bytes]) -> Colours:
-    """Of an ICC profile: the tone curve of its three channels, or of grey."""
+    """Colours by an ICC profile: the tone curve of its three channels, or of grey."""
     return _said("its ICC profile", lambda: _of_profile(read()))
 
 

@@ -4,7 +4,6 @@
 format.
 """
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt, UInt8
 
 from model_jax._tone import ToneCurve
-
-PathLike = str | os.PathLike[str]
 
 REASONS = ("masked", "not finite")
 """Why a photo leaves a pixel out, in the order in which the reasons apply."""
@@ -27,7 +24,7 @@ class Jpeg:
     tables: tuple[tuple[int, ...], ...]
     """Steps of the 64 frequencies, for each component."""
     sampling: int
-    """Of colour, in Pillow's numbers: 0 is 4:4:4, 1 is 4:2:2, 2 is 4:2:0."""
+    """How colour is thinned out, in Pillow's numbers: 0 is 4:4:4, 1 is 4:2:2, 2 is 4:2:0."""
     orientation: int
     """By EXIF: pixels are compressed as stored, not as shown."""
 
@@ -55,7 +52,7 @@ class Photo:
     lossy: bool = False
     """Whether the file is compressed as JPEG is."""
     jpeg: Jpeg | None = None
-    """Of a JPEG file of a common kind."""
+    """How a JPEG file of a common kind was compressed; None for other files."""
     remarks: tuple[str, ...] = ()
     """What the file says of its colours that is not used, in sentences."""
 

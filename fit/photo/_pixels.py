@@ -57,7 +57,7 @@ class Columns:
     drawn_error: Float[np.ndarray, " n"] | None = None
     """How far each width may be off by what drew the layers; None where they are exact."""
     mix: Float[np.ndarray, "3 3"] | None = None
-    """Of a grey photo: what each channel shows of red, green and blue. Channels that are copies of
+    """What each channel of a grey photo shows of red, green and blue. Channels that are copies of
     an earlier one have light 0 and no surface here. None where no channel is a copy."""
 
     @property
@@ -111,7 +111,7 @@ def light_at(photo: PhotoLike, index: Int[np.ndarray, " n"]) -> Float[np.ndarray
 
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of linear light, ITU-R BT.709-6, table 3."""
+"""Shares of red, green and blue in linear light's luminance, ITU-R BT.709-6, table 3."""
 
 _GREYS = np.array([[0.2126, 0.7152, 0.0722], [0.299, 0.587, 0.114], [1 / 3] * 3, [0.0, 1.0, 0.0]])
 """Weights that make pictures grey: luminance, luma (BT.601), the mean, the green channel."""
@@ -122,7 +122,7 @@ LEAST_INSIDE = 0.25
 """Share of the air's pixels that must be left without those on edges, or these are kept."""
 
 _ROUNDINGS = 4
-"""Of depths, up to which two are one."""
+"""Roundings up to which two depths are one."""
 
 
 def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area") -> Pixels:

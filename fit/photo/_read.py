@@ -12,10 +12,11 @@ from PIL.PngImagePlugin import PngImageFile
 
 from model_jax._errors import InputError, need_path
 from model_jax._tone import Linear, Srgb, ToneCurve, parse_tone_curve
+from render_gl._files import PathLike
 
 from .._numbers import curve_in_words
 from ._colour import Colours, of_exr, of_jpeg, of_png, of_tiff
-from ._photo import REASONS, Jpeg, PathLike, Photo
+from ._photo import REASONS, Jpeg, Photo
 
 if TYPE_CHECKING:
     from render_gl import PhotoSettings

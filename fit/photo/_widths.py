@@ -10,6 +10,7 @@ from model_jax._shapes import AnyArray
 from .._compile import float64
 
 _CHUNK = 65536
+"""Pixels at once: half a megabyte for each array on the way."""
 _jit_widths = jax.jit(layer_widths)
 
 

@@ -12,12 +12,11 @@ from model_jax._errors import InputError, shown
 from model_jax._parameter import PARAMETERS, RESPONSE_PARAMETERS
 from render_gl._files import PathLike, check_file
 
+from .._choices import CHANNELS
 from .._verdict import VERDICTS, Verdict
 
 SCHEMA = 2
-"""Of the fit.json that this version writes and reads."""
-
-CHANNELS = ("r", "g", "b")
+"""Form of the fit.json that this version writes and reads."""
 
 PATHS = {
     "depth": "Widths of air are differences of eye depth, as in the paper.",
@@ -26,7 +25,7 @@ PATHS = {
 """What `atmosphere.path` means for a shader."""
 
 ROLES = ("free", "at_bound", "held", "fixed", "tied")
-"""Of a parameter in a fit."""
+"""What a parameter can be to a fit."""
 
 USABLE = (Verdict.CONVERGED.label, Verdict.AT_BOUND.label)
 """Verdicts whose values are the best that the photo has to say."""
@@ -71,7 +70,7 @@ class Fitted:
     atmosphere_path: str | None
     """How widths are measured, a key of `PATHS`."""
     warnings: tuple[str, ...]
-    """Of the fit."""
+    """What makes the numbers less certain than they look, as the fit said."""
 
     @property
     def warning(self) -> str | None:

@@ -1,4 +1,4 @@
-"""From what a caller asks to `Parameter` records: what is free, bounded, tied, known before."""
+"""From what a caller asks to `FitParameter` records: what is free, bounded, tied, known before."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -9,7 +9,8 @@ import numpy as np
 from model_jax import PARAMETERS, RESPONSE_PARAMETERS, InputError, Look, Response
 from model_jax._errors import shown
 
-from ._parameters import CHANNELS, FAMILIES, LOOK_ENTRIES, RESPONSE_ENTRIES, Parameter, Prior
+from .._choices import CHANNELS
+from ._parameters import FAMILIES, LOOK_ENTRIES, RESPONSE_ENTRIES, FitParameter, Prior
 
 NARROWEST = 1e-100
 """Least standard deviation of a prior: the square of float32 light over it is in float64's range,
@@ -63,7 +64,7 @@ def declare(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     priors: Mapping[str, tuple[float, float]] | None = None,
     tied: Mapping[str, str] | None = None,
-) -> tuple[Parameter, ...]:
+) -> tuple[FitParameter, ...]:
     """Records of all parameters, checked.
 
     Args:
@@ -126,14 +127,14 @@ def default_free(photos: int) -> tuple[str, ...]:
     return ("brightness", "shadow", "tint", "black_level", *exposures)
 
 
-def _unchanged(look: Look, responses: Sequence[Response]) -> list[Parameter]:
+def _unchanged(look: Look, responses: Sequence[Response]) -> list[FitParameter]:
     """All parameters, fixed, with the meaning that the look and the response give them."""
-    found: list[Parameter] = []
+    found: list[FitParameter] = []
 
     def add(name: str, family: str, entries: tuple[int, ...], value: Any) -> None:
         about = FAMILIES[family]
         found.append(
-            Parameter(
+            FitParameter(
                 name=name,
                 family=family,
                 entries=entries,
@@ -165,7 +166,7 @@ def _unchanged(look: Look, responses: Sequence[Response]) -> list[Parameter]:
 
 
 def _expand(
-    what: str, names: Iterable[Any] | str, parameters: Mapping[str, Parameter]
+    what: str, names: Iterable[Any] | str, parameters: Mapping[str, FitParameter]
 ) -> list[str]:
     """Full names: a family stands for all its members."""
     found: list[str] = []
@@ -179,11 +180,11 @@ def _expand(
     return found
 
 
-def _choices(parameters: Mapping[str, Parameter]) -> list[str]:
+def _choices(parameters: Mapping[str, FitParameter]) -> list[str]:
     return list(dict.fromkeys([*(p.family for p in parameters.values()), *parameters]))
 
 
-def _bounded(p: Parameter, lower: float, upper: float) -> Parameter:
+def _bounded(p: FitParameter, lower: float, upper: float) -> FitParameter:
     low, high = max(float(lower), p.lower), min(float(upper), p.upper)
     if not lower < upper or not low < high:  # NaN compares false
         raise InputError(
@@ -209,7 +210,7 @@ def _prior(name: str, mean: float, sigma: float) -> Prior:
     return Prior(float(mean), float(sigma))
 
 
-def _tie(parameters: dict[str, Parameter], tied: Mapping[str, str]) -> None:
+def _tie(parameters: dict[str, FitParameter], tied: Mapping[str, str]) -> None:
     """Tied parameters get the record of the one they follow to the end of the chain."""
     for name, other in tied.items():
         for known in (name, other):

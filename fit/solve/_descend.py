@@ -26,6 +26,7 @@ from ._gram import compressed, gram
 from ._model import Model
 from ._parameters import TINT, Chart, Entries
 from ._samples import Samples, tile_at
+from ._scaled import unit_diagonal
 
 Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 
@@ -36,11 +37,11 @@ _SOLVERS: dict[SolverName, Any] = {
 }
 
 TOLERANCE = 1e-12
-"""Of a descent, absolute and relative, on numbers of order one: float64 has 2e-16, and 1e-8 in the
-parameters is promised."""
+"""Where a descent ends, absolute and relative, on numbers of order one: float64 has 2e-16, and 1e-8
+in the parameters is promised."""
 
 FINISH = 1e-15
-"""Of the exact Gauss–Newton steps at the end: on, until they do nothing."""
+"""Where the exact Gauss–Newton steps at the end do: on, until they do nothing."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +90,8 @@ def _frame(
         entries = atlas.entries(step)
         return entries, entries
 
-    along, entries = jax.jacfwd(twice, has_aux=True)(jnp.asarray(step))
-    return entries, along
+    directions, entries = jax.jacfwd(twice, has_aux=True)(jnp.asarray(step))
+    return entries, directions
 
 
 class Pass(eqx.Module):
@@ -102,8 +103,8 @@ class Pass(eqx.Module):
     size: Float[AnyArray, ""]
 
     def __call__(self, step: Float[jax.Array, " p"]) -> Float[jax.Array, "q q"]:
-        entries, along = _frame(self.atlas, step)
-        found = _gram(entries, along, self.samples, self.model) / self.size**2
+        entries, directions = _frame(self.atlas, step)
+        found = _gram(entries, directions, self.samples, self.model) / self.size**2
         # Where light overflows no step is better; the factor of a NaN would pass for a cost of 0.
         return jnp.where(jnp.isfinite(found).all(), found, jnp.inf)
 
@@ -166,8 +167,8 @@ def _run(
 
     All in one program: each costs a good part of a second to compile.
     """
-    begin, along = _frame(atlas, jnp.zeros_like(atlas.start))
-    first = _gram(begin, along, samples, model)
+    begin, directions = _frame(atlas, jnp.zeros_like(atlas.start))
+    first = _gram(begin, directions, samples, model)
     size = jnp.sqrt(_light(samples))
     size = jnp.where(size > 0, size, 1.0)
     whitened = eqx.tree_at(lambda a: a.whiten, atlas, _whitening(first[:-1, :-1]) * size)
@@ -188,13 +189,11 @@ def _light(samples: Samples) -> Float[jax.Array, ""]:
 
 def _whitening(curved: Float[jax.Array, "p p"]) -> Float[jax.Array, "p p"]:
     """W with Wᵀ G W = 1, where G tells; steps along what it does not tell stay of order one."""
-    size = jnp.sqrt(jnp.diagonal(curved))
-    usable = jnp.where((size > 0) & jnp.isfinite(size), size, 1.0)
-    scaled = curved / usable[None] / usable[:, None]
+    scaled, size = unit_diagonal(curved)
     scaled = jnp.where(jnp.isfinite(scaled), scaled, 0.0)
     values, vectors = jnp.linalg.eigh(scaled)
     floor = 1e-12 * jnp.maximum(values[-1], 1e-300)
-    return vectors / jnp.sqrt(jnp.maximum(values, floor))[None] / usable[:, None]
+    return vectors / jnp.sqrt(jnp.maximum(values, floor))[None] / size[:, None]
 
 
 def run(

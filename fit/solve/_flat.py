@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ._parameters import BRIGHTNESS, Entries, Parameter
+from ._parameters import BRIGHTNESS, Entries, FitParameter
 from ._problem import Point, Problem
 from ._samples import TILE
+from ._scaled import unit_diagonal
 
 TAKES_PART = 0.1
 """Share of a flat direction, in units of the scaled columns, from which a parameter is named."""
@@ -29,7 +30,7 @@ may be off by half an eps for each summand of a tile, and its eigenvalues by a f
 class Flat:
     """A direction along which nothing changes."""
 
-    held: tuple[Parameter, ...]
+    held: tuple[FitParameter, ...]
     """What is held at its start for it."""
     why: str
     """For people, without a full stop."""
@@ -38,18 +39,17 @@ class Flat:
 def find_flat(
     point: Point,
     gram: Float[np.ndarray, "q q"],
-    moved: Sequence[tuple[Parameter, ...]],
+    moved: Sequence[tuple[FitParameter, ...]],
 ) -> Flat | None:
     """The flattest direction, if rounding explains what is left of it; None if all is told."""
     vector = point.vector
     curved = gram[:-1, :-1]
-    size = np.sqrt(np.maximum(np.diag(curved), 0))
     for column, parameters in enumerate(moved):
-        if size[column] == 0:
+        if not curved[column, column] > 0:
             return Flat(parameters, _no_effect(vector, parameters[0]))
-    if len(size) < 2:
+    if len(curved) < 2:
         return None
-    scaled = curved / size / size[:, None]
+    scaled, size = unit_diagonal(curved)
     values, vectors = np.linalg.eigh(scaled)
     if values[0] > _threshold(point.problem) ** 2:
         return None
@@ -68,7 +68,7 @@ def _threshold(problem: Problem) -> float:
     return float(RESOLUTION + 2 * error * np.sqrt(n / square_sum)) if square_sum > 0 else 1.0
 
 
-def _no_effect(vector: Entries, parameter: Parameter) -> str:
+def _no_effect(vector: Entries, parameter: FitParameter) -> str:
     if vector[BRIGHTNESS] == 0 and parameter.family in ("tint", "shadow"):
         return "brightness is 0, so it has no effect"
     return "it has no effect in the pixels used"
@@ -78,7 +78,7 @@ def _words(
     vector: Entries,
     step: Float[np.ndarray, " p"],
     members: Sequence[int],
-    moved: Sequence[tuple[Parameter, ...]],
+    moved: Sequence[tuple[FitParameter, ...]],
 ) -> str:
     """The sentence for a flat direction; `step` is in parameter units."""
     names = list(dict.fromkeys(_name(moved[j]) for j in members))
@@ -104,5 +104,5 @@ def _remedy(names: Sequence[str]) -> str:
     return "fix one" + (" or add a photo of another exposure that is known" if exposures else "")
 
 
-def _name(parameters: tuple[Parameter, ...]) -> str:
+def _name(parameters: tuple[FitParameter, ...]) -> str:
     return "tint" if len(parameters) > 1 else parameters[0].name

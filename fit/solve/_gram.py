@@ -26,7 +26,7 @@ from jaxtyping import Float, Int
 from model_jax._shapes import AnyArray
 
 from ._loss import Loss, weigh
-from ._model import Model, Prior, tile_slopes
+from ._model import Model, PriorTerm, tile_slopes
 from ._samples import Samples, Tile, tile_at
 
 _JITTER = 64
@@ -35,21 +35,21 @@ _JITTER = 64
 
 def gram(
     entries: Float[AnyArray, " e"],
-    along: Float[AnyArray, "e p"],
+    directions: Float[AnyArray, "e p"],
     samples: Samples,
     model: Model,
 ) -> Float[jax.Array, "q q"]:
     """The matrix G of one pass, q = p + 1."""
-    along = jnp.asarray(along)
+    directions = jnp.asarray(directions)
     if samples.clipped is None and model.loss.name == "linear" and model.linear:
-        total = _linear_gram(entries, along, samples)
+        total = _linear_gram(entries, directions, samples)
     else:
-        total = _general_gram(entries, along, samples, model)
-    return total if model.prior is None else total + _prior_gram(entries, along, model.prior)
+        total = _general_gram(entries, directions, samples, model)
+    return total if model.prior is None else total + _prior_gram(entries, directions, model.prior)
 
 
 def _linear_gram(
-    entries: Float[AnyArray, " e"], along: Float[AnyArray, "e p"], samples: Samples
+    entries: Float[AnyArray, " e"], directions: Float[AnyArray, "e p"], samples: Samples
 ) -> Float[jax.Array, "q q"]:
     """Plain least squares of a model that is linear in its columns, residuals pixel by pixel.
 
@@ -59,7 +59,7 @@ def _linear_gram(
     """
     photos = jnp.arange(samples.color.shape[0])
     unit = jax.vmap(lambda photo: _unit_tile(samples, photo))(photos)
-    coefficients, slopes = jax.vmap(lambda tile: tile_slopes(entries, along, tile, True))(unit)
+    coefficients, slopes = jax.vmap(lambda tile: tile_slopes(entries, directions, tile, True))(unit)
     shared = 2 if samples.dark is None else 3
     surfaces = 0 if samples.surface is None else 3
 
@@ -139,16 +139,16 @@ def _bordered(curved: Any, gradient: Any, square_sum: Any) -> Float[jax.Array, "
 
 def _general_gram(
     entries: Float[AnyArray, " e"],
-    along: Float[AnyArray, "e p"],
+    directions: Float[AnyArray, "e p"],
     samples: Samples,
     model: Model,
 ) -> Float[jax.Array, "q q"]:
     """Any model, any loss: the slopes of every sample."""
-    size = along.shape[1] + 1
+    size = directions.shape[1] + 1
 
     def add(index: Any, total: jax.Array) -> jax.Array:
         tile = tile_at(samples, index)
-        predicted, slopes = tile_slopes(entries, along, tile, model.linear)
+        predicted, slopes = tile_slopes(entries, directions, tile, model.linear)
         residual = predicted - tile.light
         if tile.clipped is None and model.loss.name == "linear":
             rows = jnp.concatenate([slopes, residual[None]])
@@ -178,8 +178,8 @@ def _weigh_tile(
     )
 
 
-def _prior_gram(entries: Any, along: Any, prior: Prior) -> Float[jax.Array, "q q"]:
-    rows = jnp.concatenate([along.T, (jnp.asarray(entries) - prior.mean)[None]])
+def _prior_gram(entries: Any, directions: Any, prior: PriorTerm) -> Float[jax.Array, "q q"]:
+    rows = jnp.concatenate([directions.T, (jnp.asarray(entries) - prior.mean)[None]])
     return (rows * prior.weight[None]) @ rows.T
 
 

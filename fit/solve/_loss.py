@@ -30,9 +30,9 @@ _FAR = 8.0
 quotient loses less than 2 digits of 16."""
 
 _DEPTH = 16
-"""Of the continued fraction: exact to rounding from `_FAR` on."""
+"""Terms of the continued fraction: exact to rounding from `_FAR` on."""
 
-Samples = Float[jax.Array, "..."]
+Residuals = Float[jax.Array, "..."]
 
 
 class Loss(eqx.Module):
@@ -49,8 +49,8 @@ class Loss(eqx.Module):
 
 
 def weigh(
-    residual: Samples, clipped: Int[jax.Array, "..."] | None, loss: Loss
-) -> tuple[Samples, Samples, Samples]:
+    residual: Residuals, clipped: Int[jax.Array, "..."] | None, loss: Loss
+) -> tuple[Residuals, Residuals, Residuals]:
     """Cost, score and curvature of samples.
 
     Args:
@@ -83,7 +83,7 @@ def weigh(
     return square * rho, slope * score, slope * curvature
 
 
-def _tobit(excess: Samples, noise: Scalar) -> tuple[Samples, Samples, Samples]:
+def _tobit(excess: Residuals, noise: Scalar) -> tuple[Residuals, Residuals, Residuals]:
     """The three for "the truth is at least the bound"; `excess` is prediction minus bound.
 
     -2 σ² log Φ(t), t = excess / σ: nothing where the prediction is far above, the squared residual

@@ -13,7 +13,7 @@ from ._parameters import BACKGROUND, BRIGHTNESS, LOOK_ENTRIES, RESPONSE_ENTRIES,
 from ._samples import Tile
 
 
-class Prior(eqx.Module):
+class PriorTerm(eqx.Module):
     """Square sum that priors add: Σ weight (entry - mean)²."""
 
     mean: Float[AnyArray, " e"]
@@ -24,7 +24,7 @@ class Model(eqx.Module):
     """What turns entries and a tile into a prediction, and a residual into a cost."""
 
     loss: Loss
-    prior: Prior | None
+    prior: PriorTerm | None
     linear: bool = eqx.field(static=True)
     """Every gamma is 1 and stays so: no power is computed."""
 
@@ -52,10 +52,10 @@ def predict(entries: Float[AnyArray, " e"], tile: Tile, linear: bool) -> Float[j
 
 def tile_slopes(
     entries: Float[AnyArray, " e"],
-    along: Float[AnyArray, "e p"],
+    directions: Float[AnyArray, "e p"],
     tile: Tile,
     linear: bool,
 ) -> tuple[Float[jax.Array, "3 n"], Float[jax.Array, "p 3 n"]]:
     """Prediction and its slopes along directions."""
     predicted, push = jax.linearize(lambda e: predict(e, tile, linear), jnp.asarray(entries))
-    return predicted, jax.vmap(push, in_axes=1)(jnp.asarray(along))
+    return predicted, jax.vmap(push, in_axes=1)(jnp.asarray(directions))

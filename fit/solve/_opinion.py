@@ -1,5 +1,5 @@
 """A second opinion on an end point: the least square sum there is, where that has a closed form
-(`_closed_form`), else a second descent, by another method from another start.
+(`_separable`), else a second descent, by another method from another start.
 """
 
 from collections.abc import Sequence
@@ -8,24 +8,25 @@ import jax
 import numpy as np
 
 from .._compile import float64
-from ._closed_form import least_square_sum
 from ._descend import descend, make_solver
-from ._parameters import Entries, Parameter, chart, directions, is_outside
+from ._parameters import Entries, FitParameter, chart, free_directions, is_outside
 from ._polish import finish, put_inside
 from ._problem import Problem
 from ._reduce import moments
 from ._samples import Samples
+from ._separable import least_square_sum
 
 AGREE = 1e-6
 """Relative difference of two square sums that counts as one valley."""
 _SECOND_STEPS = 64
+"""Steps of the second descent, on the reduced samples, where they cost little."""
 
 
 def second_opinion(
     problem: Problem,
     vector: Entries,
     square_sum: float,
-    free: Sequence[Parameter],
+    free: Sequence[FitParameter],
     solver: str,
     start: Entries,
     margin: float,
@@ -35,11 +36,11 @@ def second_opinion(
     "closed form" where that is known and no lower; else how a descent by another method from
     another start came out: "same", "higher" or "lower".
     """
-    along, _ = directions(free, problem.parameters)
+    directions, _ = free_directions(free, problem.parameters)
     margin = max(100 * margin, AGREE * square_sum)
     if problem.plain and problem.model.linear and problem.model.prior is None:
-        few = problem.few if problem.few.one is not None else _few_of_plain(problem)
-        least = least_square_sum(jax.device_get(few), vector, free, problem.parameters)
+        reduced = problem.reduced if problem.reduced.one is not None else _moments_of_plain(problem)
+        least = least_square_sum(jax.device_get(reduced), vector, free, problem.parameters)
         if least is not None and not is_outside(least.vector, free):
             # A factor of sums of products knows a square sum to some eps of all light.
             room = margin + 64 * np.finfo(np.float64).eps * problem.count * problem.light_max**2
@@ -51,10 +52,10 @@ def second_opinion(
         if p in free and p.family != "tint":
             away[list(p.entries)] = p.of(start)
     if np.allclose(away, vector, rtol=1e-3):
-        away[along.any(axis=1)] *= 1.3
+        away[directions.any(axis=1)] *= 1.3
     away = put_inside(away, free, problem.parameters)
     descent = descend(
-        chart(away, free, problem.parameters), problem.few, problem.model, other, _SECOND_STEPS
+        chart(away, free, problem.parameters), problem.reduced, problem.model, other, _SECOND_STEPS
     )
     if not descent.finite:
         return "higher", vector
@@ -65,7 +66,7 @@ def second_opinion(
     return ("lower" if best < square_sum - margin else "same"), found
 
 
-def _few_of_plain(problem: Problem) -> Samples:
+def _moments_of_plain(problem: Problem) -> Samples:
     """Moments of a problem that was solved on all its samples."""
     with float64():
         return moments(problem.samples)

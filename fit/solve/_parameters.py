@@ -1,6 +1,6 @@
 """The parameters of a fit as records, and the vector of entries that the model computes with.
 
-One `Parameter` record stands for each number that a result reports (`_declare`): of the look
+One `FitParameter` record stands for each number that a result reports (`_declare`): of the look
 (brightness, shadow, tint.r …) and of each photo's response (exposure, gamma, black_level, with
 several photos exposure.1, exposure.2 …). Below it all is one vector of *entries*: ten of the look
 (a weight or a level that the look gives as one number stands there three times), then three for
@@ -15,17 +15,16 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import PARAMETERS, RESPONSE_PARAMETERS, Look, Response
-from model_jax import Parameter as Meaning
+from model_jax import PARAMETERS, RESPONSE_PARAMETERS, Look, Parameter, Response
 
 from ._bijections import from_tints, from_value, inside, mean_free
 
-CHANNELS = ("r", "g", "b")
 LOOK_ENTRIES = 10
 RESPONSE_ENTRIES = 3
+"""Numbers of the look and of each photo's response in the vector: exposure, gamma, black level."""
 BRIGHTNESS, SHADOW, TINT, BACKGROUND = 0, slice(1, 4), slice(4, 7), slice(7, 10)
 
-FAMILIES: dict[str, Meaning] = PARAMETERS | RESPONSE_PARAMETERS
+FAMILIES: dict[str, Parameter] = PARAMETERS | RESPONSE_PARAMETERS
 """Every field of `Look` and `Response`."""
 
 Entries = Float[np.ndarray, " e"]
@@ -43,7 +42,7 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class FitParameter:
     """One number of a fit."""
 
     name: str
@@ -71,7 +70,7 @@ class Parameter:
         return vector[self.entries[0]]
 
 
-def to_entries(parameters: Sequence[Parameter]) -> Entries:
+def to_entries(parameters: Sequence[FitParameter]) -> Entries:
     """The vector of the start values."""
     vector = np.zeros(1 + max(entry for p in parameters for entry in p.entries))
     for p in parameters:
@@ -99,14 +98,16 @@ def to_responses(vector: Entries) -> tuple[Response, ...]:
     return tuple(Response(*row) for row in rows)
 
 
-def followers(parameter: Parameter, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+def followers(
+    parameter: FitParameter, parameters: Sequence[FitParameter]
+) -> tuple[FitParameter, ...]:
     """The parameter itself and all that are tied to it."""
     tied = [p for p in parameters if p.tied_to == parameter.name]
     return (parameter, *tied)
 
 
 def settle_tint(
-    vector: Entries, free: Sequence[Parameter], parameters: Sequence[Parameter]
+    vector: Entries, free: Sequence[FitParameter], parameters: Sequence[FitParameter]
 ) -> Entries:
     """The vector with its free tints multiplied so that the mean of all three is 1."""
     moved = np.flatnonzero(_tint_members(free, parameters)) + TINT.start
@@ -119,9 +120,9 @@ def settle_tint(
     return settled
 
 
-def directions(
-    free: Sequence[Parameter], parameters: Sequence[Parameter]
-) -> tuple[Float[np.ndarray, "e p"], list[tuple[Parameter, ...]]]:
+def free_directions(
+    free: Sequence[FitParameter], parameters: Sequence[FitParameter]
+) -> tuple[Float[np.ndarray, "e p"], list[tuple[FitParameter, ...]]]:
     """Columns along which a fit moves the vector, told-first ones first.
 
     Returns:
@@ -129,7 +130,7 @@ def directions(
     """
     size = 1 + max(entry for p in parameters for entry in p.entries)
     columns: list[np.ndarray] = [np.zeros((size, 0))]
-    moved: list[tuple[Parameter, ...]] = []
+    moved: list[tuple[FitParameter, ...]] = []
     for family in _ORDER:
         members = [p for p in free if p.family == family]
         if family == "tint":
@@ -167,7 +168,9 @@ class Chart:
     """Coordinates of the start: the q values, then the m tints."""
 
 
-def chart(vector: Entries, free: Sequence[Parameter], parameters: Sequence[Parameter]) -> Chart:
+def chart(
+    vector: Entries, free: Sequence[FitParameter], parameters: Sequence[FitParameter]
+) -> Chart:
     """Coordinates around a vector; what lies on or outside a bound starts a little inside."""
     plain = [p for p in free if p.family != "tint"]
     matrix = np.zeros((len(vector), len(plain)))
@@ -202,12 +205,12 @@ def chart(vector: Entries, free: Sequence[Parameter], parameters: Sequence[Param
     )
 
 
-def is_outside(vector: Entries, free: Sequence[Parameter]) -> bool:
+def is_outside(vector: Entries, free: Sequence[FitParameter]) -> bool:
     """Some free parameter has left its range."""
     return any(not p.lower <= p.of(vector) <= p.upper for p in free)
 
 
-def _tint_members(free: Sequence[Parameter], parameters: Sequence[Parameter]) -> np.ndarray:
+def _tint_members(free: Sequence[FitParameter], parameters: Sequence[FitParameter]) -> np.ndarray:
     """Which of the three tints move."""
     members = np.zeros(3, dtype=bool)
     for parameter in free:
@@ -218,7 +221,7 @@ def _tint_members(free: Sequence[Parameter], parameters: Sequence[Parameter]) ->
 
 
 def _tint_basis(
-    free: Sequence[Parameter], parameters: Sequence[Parameter]
+    free: Sequence[FitParameter], parameters: Sequence[FitParameter]
 ) -> Float[np.ndarray, "3 m"]:
     """Orthonormal directions that keep the tints' sum, and tied ones equal."""
     members = _tint_members(free, parameters)

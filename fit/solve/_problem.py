@@ -12,7 +12,7 @@ from .._compile import float64
 from ..photo._pixels import Columns
 from ._descend import exact_gram
 from ._model import Model
-from ._parameters import Entries, Parameter
+from ._parameters import Entries, FitParameter
 from ._reduce import THIN, bins, moments, thinned
 from ._samples import Samples, on_device, to_samples
 
@@ -24,13 +24,13 @@ class Problem:
     columns: tuple[Columns, ...]
     samples: Samples
     """All of `columns`, on the device; or the few that stand for them."""
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[FitParameter, ...]
     model: Model
     is_rough: bool = False
     """`samples` are the few already."""
 
     @cached_property
-    def few(self) -> Samples:
+    def reduced(self) -> Samples:
         """What stands for all until the exact steps: as few pseudo-pixels as serve."""
         columns, samples, plain = self.columns, self.samples, self.model.loss.name == "linear"
         if self.is_rough:
@@ -69,17 +69,19 @@ class Problem:
 
     def rough(self) -> "Problem":
         """The few in place of all: for answers that are asked again."""
-        return replace(self, samples=self.few, is_rough=True)
+        return replace(self, samples=self.reduced, is_rough=True)
 
     def beside(self, columns: Sequence[Columns]) -> "Problem":
         """The same look and model seen by other pixels."""
         return replace(self, columns=tuple(columns), samples=on_device(to_samples(columns)))
 
-    def gram(self, vector: Entries, along: Float[np.ndarray, "e p"]) -> Float[np.ndarray, "q q"]:
+    def gram(
+        self, vector: Entries, directions: Float[np.ndarray, "e p"]
+    ) -> Float[np.ndarray, "q q"]:
         """The exact pass over all samples."""
         with float64():
             return np.asarray(
-                exact_gram(jnp.asarray(vector), jnp.asarray(along), self.samples, self.model)
+                exact_gram(jnp.asarray(vector), jnp.asarray(directions), self.samples, self.model)
             )
 
     def square_sum(self, vector: Entries) -> float:
@@ -93,16 +95,16 @@ class Point:
 
     problem: Problem
     vector: Entries
-    along: Float[np.ndarray, "e p"]
-    """Of the free parameters (`directions`)."""
+    directions: Float[np.ndarray, "e p"]
+    """One column for each degree of freedom (`free_directions`)."""
 
     def moved(self, step: Float[np.ndarray, " p"]) -> "Point":
         """The point a step along the directions away."""
-        return replace(self, vector=self.vector + self.along @ step)
+        return replace(self, vector=self.vector + self.directions @ step)
 
     def gram(self) -> Float[np.ndarray, "q q"]:
         """The exact pass here."""
-        return self.problem.gram(self.vector, self.along)
+        return self.problem.gram(self.vector, self.directions)
 
 
 def _largest(values: np.ndarray) -> float:

@@ -83,7 +83,7 @@ def thinned(columns: Sequence[Columns]) -> Samples:
     def part(values: np.ndarray | None) -> np.ndarray | None:
         return None if values is None else values[::step]
 
-    few = [
+    reduced = [
         replace(
             c,
             index=c.index[::step],
@@ -95,7 +95,7 @@ def thinned(columns: Sequence[Columns]) -> Samples:
         )
         for c in columns
     ]
-    return to_samples(few, weights=[np.full(len(c.lit), float(step)) for c in few])
+    return to_samples(reduced, weights=[np.full(len(c.lit), float(step)) for c in reduced])
 
 
 def _bin(

@@ -107,6 +107,7 @@ ROOM = 1024
 """Least room, in tiles: 3 megapixels of air. Where nothing is written it takes no memory on a
 CPU."""
 FEW_ROOM = 64
+"""Least room of few pixels, in tiles: 200,000, below which memory that is touched is no matter."""
 
 
 def to_samples(

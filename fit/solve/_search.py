@@ -1,7 +1,7 @@
 """From samples to a checked end point: start, descend, finish exactly, hold what is not told.
 
     starts ──> descend on few pseudo-pixels, or on all ──> exact steps ──> what is told?
-    (_start)   (_reduce, _descend)                         (_polish)       within bounds?
+    (_separable) (_reduce, _descend)                       (_polish)       within bounds?
 
 What the pixels do not tell is held at its start value, what ran against its bounds is held there;
 each time the rest is fitted again. The end point is judged here, not by the solver: by the square
@@ -20,11 +20,11 @@ from .._compile import float64
 from ._descend import Descent, Solver, descend, make_solver, square_sums
 from ._flat import Flat, find_flat
 from ._opinion import second_opinion
-from ._parameters import Entries, Parameter, chart, directions, is_outside, settle_tint
+from ._parameters import Entries, FitParameter, chart, free_directions, is_outside, settle_tint
 from ._polish import CHECK, finish, is_settled, put_inside, sample_variance
 from ._problem import Point, Problem
 from ._samples import Samples
-from ._start import starts
+from ._separable import starts
 
 _NEAR = 1e-3
 """Distance from a bound, in typical sizes, from which it is tried there."""
@@ -37,16 +37,16 @@ class End:
     """Where the search ended."""
 
     vector: Entries
-    free: tuple[Parameter, ...]
+    free: tuple[FitParameter, ...]
     """Still free: neither at a bound nor held."""
-    at_bound: tuple[Parameter, ...]
+    at_bound: tuple[FitParameter, ...]
     flat: tuple[Flat, ...]
     """What the pixels do not tell, held at the start."""
     finite: bool
     settled: bool
     """The checks of the end point hold."""
     gram: Float[np.ndarray, "q q"]
-    """Of the exact pass at the end, along `directions(free)`."""
+    """The exact pass at the end, along `free_directions(free)`."""
     history: tuple[float, ...]
     """Square sums at the accepted steps of the first descent."""
     steps: int
@@ -61,7 +61,7 @@ class End:
 def search(  # long: one loop, and each of its branches changes what the next round holds
     problem: Problem,
     start: Entries,
-    asked: Sequence[Parameter],
+    asked: Sequence[FitParameter],
     solver: str,
     max_steps: int,
     *,
@@ -79,7 +79,7 @@ def search(  # long: one loop, and each of its branches changes what the next ro
     parameters = problem.parameters
     free, held = list(asked), settle_tint(start, asked, parameters)
     flat: list[Flat] = []
-    at_bound: list[Parameter] = []
+    at_bound: list[FitParameter] = []
     inside: set[str] = set()  # tried at its bound, and better off it
     first: Descent | None = None
     candidates = seeds
@@ -90,10 +90,10 @@ def search(  # long: one loop, and each of its branches changes what the next ro
         if not descent.finite:
             return _diverged(held, free, at_bound, flat, first)
         vector, gram = finish(problem, descent.entries, free)
-        along, moved = directions(free, parameters)
+        directions, moved = free_directions(free, parameters)
         if not np.isfinite(gram).all():
             return _diverged(vector, free, at_bound, flat, first)
-        found = find_flat(Point(problem, vector, along), gram, moved)
+        found = find_flat(Point(problem, vector, directions), gram, moved)
         if found is not None:
             flat.append(found)
             gone = {p.name for p in found.held}
@@ -123,7 +123,7 @@ def search(  # long: one loop, and each of its branches changes what the next ro
             held, candidates = vector, [vector]
             continue
         second = ""
-        if last and along.shape[1]:
+        if last and directions.shape[1]:
             square_sum = float(gram[-1, -1])
             second, other = second_opinion(problem, vector, square_sum, free, solver, start, margin)
             if second == "lower" and opinions < _OPINIONS:
@@ -148,16 +148,16 @@ def search(  # long: one loop, and each of its branches changes what the next ro
 def _descend(
     problem: Problem,
     held: Entries,
-    free: Sequence[Parameter],
+    free: Sequence[FitParameter],
     solver: Solver,
     max_steps: int,
     candidates: list[Entries] | None,
 ) -> Descent:
     """The solver's descent, on as few pseudo-pixels as serve."""
-    if not directions(free, problem.parameters)[0].shape[1]:
+    if not free_directions(free, problem.parameters)[0].shape[1]:
         return Descent(held, True, 0, ())
     with float64():
-        samples = problem.few
+        samples = problem.reduced
         if candidates is None:
             candidates = starts(samples, held, free, problem.parameters)
         start = _lowest(candidates, samples, free, problem)
@@ -169,7 +169,7 @@ def _descend(
 def _lowest(
     candidates: Sequence[Entries],
     samples: Samples,
-    free: Sequence[Parameter],
+    free: Sequence[FitParameter],
     problem: Problem,
 ) -> Entries:
     """The start with the least square sum, taken inside its bounds as the descent will."""
@@ -180,7 +180,7 @@ def _lowest(
     return candidates[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
 
 
-def _is_near_bound(p: Parameter, vector: Entries) -> bool:
+def _is_near_bound(p: FitParameter, vector: Entries) -> bool:
     """So near a bound, or beyond it, that being on it has to be tried."""
     value = float(p.of(vector))
     room = _NEAR * max(abs(p.value), p.scale)
@@ -190,7 +190,7 @@ def _is_near_bound(p: Parameter, vector: Entries) -> bool:
 def _best_from(
     problem: Problem,
     vector: Entries,
-    free: Sequence[Parameter],
+    free: Sequence[FitParameter],
     solver: Solver,
     max_steps: int,
 ) -> Entries:
@@ -201,18 +201,18 @@ def _best_from(
 def _loose(
     problem: Problem,
     vector: Entries,
-    free: Sequence[Parameter],
-    at_bound: Sequence[Parameter],
+    free: Sequence[FitParameter],
+    at_bound: Sequence[FitParameter],
     margin: float,
-) -> Parameter | None:
+) -> FitParameter | None:
     """A parameter at a bound from which the square sum falls by more than the margin."""
     for p in at_bound:
-        along = np.zeros((len(vector), 1))
-        along[list(p.entries)] = 1.0
+        directions = np.zeros((len(vector), 1))
+        directions[list(p.entries)] = 1.0
         if p.family == "tint":  # the other tints make room
             others = [q.entries[0] for q in free if q.family == "tint"]
-            along[others, 0] -= vector[others] / (vector[others].sum() or 1.0)
-        curved, slope = problem.gram(vector, along)[0]
+            directions[others, 0] -= vector[others] / (vector[others].sum() or 1.0)
+        curved, slope = problem.gram(vector, directions)[0]
         inward = slope if p.of(vector) <= p.lower else -slope
         if inward < 0 and slope**2 > margin * curved:
             return p
@@ -220,7 +220,7 @@ def _loose(
 
 
 def _at_bounds(
-    vector: Entries, stuck: Sequence[Parameter], parameters: Sequence[Parameter]
+    vector: Entries, stuck: Sequence[FitParameter], parameters: Sequence[FitParameter]
 ) -> Entries:
     held = vector.copy()
     for p in stuck:
@@ -232,7 +232,10 @@ def _at_bounds(
 
 
 def _restored(
-    vector: Entries, start: Entries, held: Sequence[Parameter], parameters: Sequence[Parameter]
+    vector: Entries,
+    start: Entries,
+    held: Sequence[FitParameter],
+    parameters: Sequence[FitParameter],
 ) -> Entries:
     """The vector with what is not told back at its start."""
     names = {p.name for p in held}
@@ -245,8 +248,8 @@ def _restored(
 
 def _diverged(
     held: Entries,
-    free: Sequence[Parameter],
-    at_bound: Sequence[Parameter],
+    free: Sequence[FitParameter],
+    at_bound: Sequence[FitParameter],
     flat: Sequence[Flat],
     first: Descent,
 ) -> End:

@@ -6,7 +6,7 @@ from model_jax import Layers, Look
 
 from .._choices import JpegHandling, LossName, Sampling
 from ..photo._pixels import PhotoLike, size_of
-from ._parameters import Parameter
+from ._parameters import FitParameter
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Task:
     photos: tuple[PhotoLike, ...]
     layers: tuple[Layers, ...]
     look: Look
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[FitParameter, ...]
     loss: LossName
     jpeg: JpegHandling
     sampling: Sampling

@@ -9,11 +9,11 @@ import scipy.linalg
 
 from fit import fit
 from fit.solve import _opinion, _search
-from fit.solve._closed_form import Least, least_square_sum
 from fit.solve._descend import Descent
-from fit.solve._parameters import directions
+from fit.solve._parameters import free_directions
 from fit.solve._problem import Problem
 from fit.solve._search import End
+from fit.solve._separable import Least, least_square_sum
 from model_jax import Layers, Look, Response, layer_widths
 
 from .looks import START, TRUTH, picture
@@ -43,8 +43,8 @@ def ends(monkeypatch) -> list[tuple[Problem, End]]:
 
 
 def least(problem: Problem, end: End) -> Least | None:
-    few = jax.device_get(problem.few)
-    return least_square_sum(few, end.vector, end.free, problem.parameters)
+    reduced = jax.device_get(problem.reduced)
+    return least_square_sum(reduced, end.vector, end.free, problem.parameters)
 
 
 def test_it_is_the_generalised_eigenvalue(noisy, layers: Layers, monkeypatch) -> None:
@@ -138,7 +138,7 @@ def test_a_descent_that_goes_nowhere_is_overruled(
             "finish",
             lambda problem, vector, free: (
                 vector,
-                problem.gram(vector, directions(free, problem.parameters)[0]),
+                problem.gram(vector, free_directions(free, problem.parameters)[0]),
             ),
         )
     result = fit(noisy, layers, START, free=free)

@@ -11,10 +11,10 @@ from PIL import ExifTags, Image
 
 from fit import FitResult, Photo, fit, load_photo
 from fit.diagnose._compression import _bounded, _read_backwards
-from fit.photo._camera import Camera, _Noise
+from fit.photo._camera import JpegCamera, _Noise
 from fit.photo._pixels import Columns
 from fit.solve._declare import declare
-from fit.solve._parameters import directions, to_entries
+from fit.solve._parameters import free_directions, to_entries
 from fit.solve._problem import Point
 from model_jax import Exposure, InputError, Layers, Look, Response
 from model_jax._tone import Srgb
@@ -68,7 +68,7 @@ def test_a_file_is_made_again(options: dict[str, Any], tmp_path: Path) -> None:
     chosen = rng.random(codes[..., 0].size) < 0.7
     used, near = columns_at(photo, np.flatnonzero(chosen)), np.flatnonzero(~chosen)
     light, near_light = before.linear_at(used.index), before.linear_at(near)
-    camera = Camera(
+    camera = JpegCamera(
         photo,
         used,
         columns_at(photo, near),
@@ -146,7 +146,7 @@ def test_a_shift_beyond_a_bound_takes_what_follows_along(layers64: Layers) -> No
         START, [Response()], free=["brightness", "tint"], bounds={"tint.r": (0.9, 3.0)}
     )
     free = [p for p in parameters if p.role == "free"]
-    vector, (along, _) = to_entries(parameters), directions(free, parameters)
+    vector, (along, _) = to_entries(parameters), free_directions(free, parameters)
     problem = fit(picture(layers64, START), layers64, START).evidence.problem  # any
     covariance = np.diag([0.1, 0.2, 0.3]) + 0.05
     shift = np.linalg.lstsq(along, 0.3 * np.eye(len(vector))[0], rcond=None)[0]

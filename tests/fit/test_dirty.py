@@ -34,11 +34,12 @@ NOISE = 0.01
 pulls as hard as a residual of 1.345 noise does, however far off it is."""
 
 SHARE = 0.05
-"""Of outliers, as in issue 3."""
+"""Share of outliers: one pixel in twenty."""
 
 ROBUST = ("cauchy", "huber", "soft_l1")
 ALLOWED = {"cauchy": 0.01, "huber": 0.03, "soft_l1": 0.03}
-"""Relative shift of any parameter (issue 3); Cauchy may instead move by two standard errors."""
+"""Relative shift of any parameter that a robust loss may leave; Cauchy may instead move by two
+standard errors."""
 
 
 @cache

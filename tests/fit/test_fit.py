@@ -21,7 +21,7 @@ from .looks import START, TRUTH, check_values, oracle, picture, scene, square_su
 
 
 def test_recovers_from_float32_layers(layers: Layers) -> None:
-    """Issue 2: to 1e-4 from float32 layers."""
+    """To the 1e-4 that is promised for float32 layers."""
     result = fit(picture(layers, TRUTH), layers, START)
     check_values(result, TRUTH, 1e-4)
     assert result.explained is not None
@@ -32,7 +32,7 @@ def test_recovers_from_float32_layers(layers: Layers) -> None:
 
 
 def test_recovers_from_float64_layers(layers64: Layers) -> None:
-    """Issue 2: to 1e-8 from analytic float64 layers, with JAX's x64 off in the caller."""
+    """To the 1e-8 that is promised for float64 layers, with JAX's x64 off in the caller."""
     with jax.enable_x64(True):
         photo = picture(layers64, TRUTH)
     check_values(fit(photo, layers64, START), TRUTH, 1e-8)
@@ -66,7 +66,7 @@ def test_free_tint_is_normalised(layers: Layers) -> None:
 
 
 def test_recovers_from_an_8_bit_png(layers: Layers, tmp_path: Path) -> None:
-    """Issue 2: within 1 %, and within three standard errors plus the bound on rounding's bias."""
+    """Within 1 %, and within three standard errors plus the bound on rounding's bias."""
     truth = Look(brightness=3.0, shadow=0.2, tint=(0.9, 1.05, 1.05))
     codes = np.rint(255 * np.asarray(Srgb().encode(picture(layers, truth)))).astype(np.uint8)
     assert codes.max() < 255
