@@ -26,3 +26,15 @@ def resized(width: int, height: int) -> str:
     text = SCENE.replace("width = 160", f"width = {width}")
     text = text.replace("height = 120", f"height = {height}")
     return text.replace("triangles = 20000", "triangles = 2000")
+
+
+DIGITS = "1" + "0" * 400
+HEX = "0x" + "f" * 5000
+
+
+NASTY = [
+    *("", "nan", "-inf", "1e400", "-0.0", "5e-324", "1e308", "-1", "0", DIGITS, HEX, "1_0", "true"),
+    *("[]", "[[]]", "{}", "[nan, 1, 1]", "[1e308, -1e308, 1e308]", "[5e-324, 0, 0]", "{a.b = 1}"),
+    *('""', '"\\u0000"', '"\\u001b"', '"\\ud800"', "'" + "x" * 300 + "'", '"""\n"""', "1979-05-27"),
+    *("07:32:00", "1979-02-31", "[" * 2000, "{a=" * 2000, "1" * 5000, "0.5", "1", "[0, 1]", "x"),
+]

@@ -243,8 +243,6 @@ def _solved(columns: Sequence[np.ndarray], target: np.ndarray) -> Float[np.ndarr
     return least_squares(np.stack([c.reshape(-1) for c in columns], axis=1), target.reshape(-1))[0]
 
 
-# --- the least square sum there is ---------------------------------------------------------------
-
 _BLACK = slice(LOOK_ENTRIES + 2, None, RESPONSE_ENTRIES)
 
 _GRID = 64

@@ -14,9 +14,9 @@ from fit import FitResult, fit, load_photo
 from fit.solve._loss import TUNING
 from model_jax import Layers, Look, Srgb, layer_widths
 from render_gl._exr import write_channels
+from tests.fit.photo.files import png
 
 from .looks import START, exact_layers, picture, scene
-from .test_photo import png
 
 TRUTH = Look(3.0, 0.2, (0.8, 0.9, 1.3), 0.1)
 """A background worth a relative error: one-sided outliers lift a level before all else."""

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from fit._memory import MOST_MAPS
-
-REPOSITORY = Path(__file__).resolve().parent.parent.parent
+from tests.data import REPOSITORY
 
 LOOP = """
 import json, resource, sys

@@ -15,10 +15,10 @@ from fit.report._wording import close_pairs
 from model_jax import InputError, Layers, analytic_layers
 from render_gl import load_scene
 from tests.command import airlight
+from tests.fit.diagnose.discs import disc_scene, full_moon
 from tests.scene_text import SCENE, resized
 
 from .looks import START, TRUTH, picture, scene
-from .test_bare_limb import disc_scene, full_moon
 
 NOISE = 1e-3
 

@@ -13,9 +13,9 @@ from render_gl._accuracy import displacement, measure_accuracy, predict_accuracy
 from render_gl._depth_format import EPS, choose_format
 from render_gl._mesh import cone_mesh, sphere_mesh
 from render_gl._mesh_error import heights_at
+from tests.render_gl.scenes import SCENES
 
 from ..model_jax.scenes import ANYWHERE, EXTREMES, LENGTHS, scene_of
-from .test_parity import SCENES
 
 STEPPED = {
     f"near plane at {near:g} radii": eqx.tree_at(

@@ -16,8 +16,7 @@ from render_gl._depth_format import (
     widest_chord,
     width_error,
 )
-
-from .test_parity import SCENES, scene
+from tests.render_gl.scenes import SCENES, scene
 
 PLAIN = SCENES["sun (1, -1, 1)"]
 

@@ -19,9 +19,9 @@ from model_jax import (
     layer_widths,
 )
 from render_gl._uniforms import relief_scale
+from tests.render_gl.scenes import SCENES, scene
 
 from ..model_jax.ray_march import camera_rays
-from .test_parity import SCENES, scene
 
 
 def test_layers_of_a_scene_without_sun_have_no_shadow() -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from model_jax import InputError
 from render_gl import SceneFile, load_scene, scene_hash, scene_record
 from render_gl._scene_file import MAX_BYTES, MAX_DOTS
+from tests.scene_text import DIGITS, HEX, NASTY
 
 GOOD = """
 [camera]
@@ -153,9 +154,6 @@ def test_mistakes_are_named_in_one_line(tmp_path: Path, old: str, new: str, mess
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
 
-
-DIGITS = "1" + "0" * 400
-HEX = "0x" + "f" * 5000
 
 # text of the full scene -> its replacement, what the message says
 UNUSUAL = {
@@ -302,14 +300,6 @@ def test_the_longest_readable_file_takes_no_long_time(tmp_path: Path) -> None:
     start = time.process_time()
     assert "unknown table 'a'" in refusal(tmp_path, text)
     assert time.process_time() - start < 10
-
-
-NASTY = [
-    *("", "nan", "-inf", "1e400", "-0.0", "5e-324", "1e308", "-1", "0", DIGITS, HEX, "1_0", "true"),
-    *("[]", "[[]]", "{}", "[nan, 1, 1]", "[1e308, -1e308, 1e308]", "[5e-324, 0, 0]", "{a.b = 1}"),
-    *('""', '"\\u0000"', '"\\u001b"', '"\\ud800"', "'" + "x" * 300 + "'", '"""\n"""', "1979-05-27"),
-    *("07:32:00", "1979-02-31", "[" * 2000, "{a=" * 2000, "1" * 5000, "0.5", "1", "[0, 1]", "x"),
-]
 
 
 @st.composite

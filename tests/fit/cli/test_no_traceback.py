@@ -20,7 +20,7 @@ from PIL import Image
 
 import render_gl
 from fit.cli._cli import main
-from tests.render_gl.test_scene_file import NASTY as NASTY_TOML
+from tests.scene_text import NASTY as NASTY_TOML
 from tests.scene_text import resized
 
 SCENE = (

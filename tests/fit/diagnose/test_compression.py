@@ -18,8 +18,7 @@ from fit.solve._parameters import free_directions, to_entries
 from fit.solve._problem import Point
 from model_jax import Exposure, InputError, Layers, Look, Response
 from model_jax._tone import Srgb
-
-from .looks import START, picture
+from tests.fit.looks import START, picture
 
 SIZE = (50, 70)  # no multiple of a block
 

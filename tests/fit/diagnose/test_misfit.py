@@ -23,9 +23,8 @@ from model_jax import (
     analytic_layers,
     composite,
 )
-
-from . import looks
-from .test_coverage import NOISES
+from tests.fit import looks
+from tests.fit.noises import NOISES
 
 SIZE = (72, 96)
 NAMES = ("brightness", "shadow", "tint.r", "tint.g", "tint.b", "background")

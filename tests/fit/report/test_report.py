@@ -25,8 +25,7 @@ from model_jax import (
     combine,
     limb_height,
 )
-
-from .test_terminal import CASES as GOLDEN
+from tests.fit.report.documents import CASES as GOLDEN
 
 SCENE = Scene(
     Camera([0, -20000, 6000], [0, 20000, -6000], [0, 0, 1], 42, 96, 72, 12000, 30000),

@@ -23,9 +23,8 @@ from fit.diagnose._spread import (
 from fit.photo._pixels import Columns, block_numbers
 from model_jax import Layers, Look
 from model_jax._tone import Linear
-
-from .looks import START, TRUTH, picture
-from .test_coverage import NOISES
+from tests.fit.looks import START, TRUTH, picture
+from tests.fit.noises import NOISES
 
 SIZE = (256, 320)
 BLUR = 2.0

@@ -285,7 +285,7 @@ def test_pngs_that_say_how_light_is_coded(name: str, data_dir: Path) -> None:
 
 
 def test_a_remark_is_a_warning_of_the_fit(tmp_path: Path) -> None:
-    from .looks import TRUTH, picture, scene
+    from tests.fit.looks import TRUTH, picture, scene
 
     layers = analytic_layers(scene())
     light = np.clip(picture(layers, TRUTH) / 4, 0, 1)

@@ -32,9 +32,8 @@ from render_gl._draw import draw
 from render_gl._parity import EPS, Parity, compare, measure_division
 from render_gl._render import frame_layers
 from tests.command import airlight
+from tests.fit.looks import START, TRUTH, picture, scene
 from tests.scene_text import resized
-
-from .looks import START, TRUTH, picture, scene
 
 ODD = Look(
     brightness=2.7182818284590455,

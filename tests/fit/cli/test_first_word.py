@@ -13,6 +13,7 @@ import jax
 import pytest
 
 from fit._compile import keep_programs
+from tests.data import REPOSITORY
 
 HEAVY = {
     "jax",
@@ -41,7 +42,7 @@ finally:
         print(*sys.modules, file=file)
 """
 
-SCENE = Path(__file__).resolve().parents[2] / "examples" / "reference.toml"
+SCENE = REPOSITORY / "examples" / "reference.toml"
 PHOTO = SCENE.with_suffix(".png")
 
 
@@ -52,7 +53,7 @@ def run(folder: Path, *words: str, **variables: str) -> subprocess.CompletedProc
         text=True,
         check=False,
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(SCENE.parents[1])} | variables,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | variables,
     )
 
 

@@ -13,8 +13,7 @@ from PIL import Image
 from fit import FitResult, fit, load_photo
 from fit.solve import _descend, _polish, _search
 from model_jax import Srgb
-
-from .test_matrix import CASES, Fit, _Dense, _photo, _start
+from tests.fit.solve.problems import CASES, Dense, Fit, photo_of, start_of
 
 EPS = float(np.finfo(np.float64).eps)
 SOLVERS = {
@@ -31,8 +30,8 @@ def place_of(case: str, light: float = 1.0, length: float = 1.0, start: str = "f
 
 def fit_at(place: Fit, **options: Any) -> FitResult:
     """The matrix's own photo, 48 × 40 pixels, fitted as the matrix does."""
-    layers, photo = _photo(place.case, place.light, place.length, place.dtype)
-    look, response = _start(place)
+    layers, photo = photo_of(place.case, place.light, place.length, place.dtype)
+    look, response = start_of(place)
     asked = {"free": place.case.free, "loss": place.case.loss, "solver": place.solver} | options
     return fit(photo, layers, look, response=response, **asked)
 
@@ -113,7 +112,7 @@ def test_solvers_see_numbers_of_order_one(
     assert 0 < np.linalg.norm(residual) < 1
 
 
-def polished(model: _Dense) -> np.ndarray:
+def polished(model: Dense) -> np.ndarray:
     """SciPy's optimum, after Gauss–Newton steps of NumPy's: `least_squares` stops where the cost
     stands still, which is 1e-8 of a parameter away."""
     best = model.optimum()
@@ -128,13 +127,13 @@ def test_a_free_gamma_ends_at_the_optimum_of_all_pixels(start: str) -> None:
     place = place_of("gamma", start=start)
     result = fit_at(place)
     assert result.verdict == "converged"
-    model = _Dense(place, *_photo(place.case, 1.0, 1.0, "float64"), result)
+    model = Dense(place, *photo_of(place.case, 1.0, 1.0, "float64"), result)
     np.testing.assert_allclose(model.to_normal(result), polished(model), rtol=1e-6)
 
 
 def clipped(folder: Path) -> FitResult:
     """The matrix's linear photo as 8-bit codes, its brightest tenth white."""
-    layers, photo = _photo(BY_NAME["linear"], 1.0, 1.0, "float64")
+    layers, photo = photo_of(BY_NAME["linear"], 1.0, 1.0, "float64")
     bright = photo / np.quantile(photo[np.asarray(layers.has_air)], 0.9)
     codes = np.rint(255 * np.clip(np.asarray(Srgb().encode(np.maximum(bright, 0))), 0, 1))
     Image.fromarray(codes.astype(np.uint8)).save(folder / "photo.png")

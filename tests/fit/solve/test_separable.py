@@ -15,8 +15,7 @@ from fit.solve._problem import Problem
 from fit.solve._search import End
 from fit.solve._separable import Least, least_square_sum
 from model_jax import Layers, Look, Response, layer_widths
-
-from .looks import START, TRUTH, picture
+from tests.fit.looks import START, TRUTH, picture
 
 NOISE = 0.02
 CHANNELS = Look(3.0, (0.2, 0.3, 0.4))

@@ -13,9 +13,8 @@ from fit import fit, load_photo
 from fit.cli._cli import app
 from fit.photo._pixels import LUMINANCE
 from model_jax import Layers, Look, Response, Srgb
-
-from ..scene_text import SCENE
-from .looks import START, picture
+from tests.fit.looks import START, picture
+from tests.scene_text import SCENE
 
 BLUE = (0.35, 0.55, 1.0, 1.0)
 TRUTH = Look(brightness=0.9, shadow=0.3, background=0.05)

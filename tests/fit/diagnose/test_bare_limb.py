@@ -1,7 +1,6 @@
 """Air or no air: the Moon and synthetic bare discs have none, Earth and model shells have."""
 
 import json
-from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 
@@ -12,10 +11,12 @@ from scipy.ndimage import gaussian_filter
 from fit import fit, load_photo
 from fit.diagnose._bare_limb import EVIDENCE, AirEvidence, bare_limb, find_air
 from fit.diagnose._effective import effective_samples
-from model_jax import Atmosphere, Camera, Planet, Scene, Sun, analytic_layers, layer_widths
+from model_jax import Scene, Sun, analytic_layers, layer_widths
 from render_gl import load_scene
+from tests.data import REPOSITORY
+from tests.fit.diagnose.discs import disc_scene, full_moon, moon
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+EXAMPLES = REPOSITORY / "examples"
 SIDEWAYS = Sun(direction=(1.0, 0.3, 0.4))
 
 
@@ -215,45 +216,10 @@ def search(light: np.ndarray, scene: Scene) -> AirEvidence:
     return find_air(light, planet, np.asarray(layers.has_air), widths)
 
 
-def disc_scene(
-    size: tuple[int, int],
-    circle: tuple[float, float, float],
-    height: float,
-    sun: Sun | None = None,
-) -> Scene:
-    """A planet of radius 1, from 200 radii, whose outline is a circle (x, y, radius) in pixels."""
-    (rows, columns), (x, y, radius), far = size, circle, 200.0
-    focal = radius * np.sqrt(far**2 - 1)
-    camera = Camera(
-        position=(0.0, 0.0, far),
-        forward=(-(x + 0.5 - columns / 2) / focal, (y + 0.5 - rows / 2) / focal, -1.0),
-        up=(0.0, 1.0, 0.0),
-        fov_y_deg=2 * np.degrees(np.arctan(rows / 2 / focal)),
-        width=columns,
-        height=rows,
-        near=far - 2,
-        far=far + 2,
-    )
-    return Scene(camera, Planet(radius=1.0), Atmosphere(height=height), sun)
-
-
 def half_moon(x: float, y: float, blur: float = 1.5) -> np.ndarray:
     """A sphere lit from the right."""
     # The Moon's light hardly falls toward its limb: no Lambert.
     return moon(x, y, blur, lambda right: np.clip(3 * (right + 0.1), 0, 1))
-
-
-def full_moon(x: float, y: float) -> np.ndarray:
-    return moon(x, y, 1.5, np.ones_like)
-
-
-def moon(x: float, y: float, blur: float, shade: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """A grey disc of radius 60, 200² px; drawn four times finer, blurred, reduced."""
-    fine = (np.arange(800) + 0.5) / 4 - 0.5
-    right, down = np.meshgrid((fine - x) / 60, (fine - y) / 60)
-    light = np.where(np.hypot(right, down) < 1, shade(right), 0) * 0.6
-    light = gaussian_filter(light, 4 * blur).reshape(200, 4, 200, 4).mean(axis=(1, 3))
-    return light[..., None] * np.array([1.0, 0.95, 0.85])
 
 
 def limb_circle(light: np.ndarray) -> tuple[float, float, float]:

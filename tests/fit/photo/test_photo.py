@@ -1,7 +1,6 @@
 """Photos: each format to linear light, the pixels left out and why, and unusable files."""
 
 import io
-import os
 import struct
 import zlib
 from collections.abc import Callable
@@ -18,37 +17,14 @@ from fit.photo._read import load_photo
 from model_jax._errors import InputError
 from model_jax._tone import Exposure, Linear, Srgb, ToneCurve
 from render_gl._exr import write_channels
-
-DATA = Path(
-    os.environ.get("AIRLIGHT_DATA") or Path(__file__).parents[2] / ".." / "shared" / "data"
-).resolve()
+from tests.data import FOLDER
+from tests.fit.photo.files import png
 
 
 def data_file(name: str) -> Path:
-    if not DATA.is_dir():
+    if not FOLDER.is_dir():
         pytest.skip("../shared/data is absent")
-    return DATA / name
-
-
-def png(codes: np.ndarray) -> bytes:
-    """A PNG of 8 or 16 bits with 1 to 4 channels, byte by byte (Pillow writes no 16-bit colour)."""
-    height, width, channels = codes.shape
-    depth = 8 * codes.dtype.itemsize
-    kind = {1: 0, 2: 4, 3: 2, 4: 6}[channels]
-    rows = b"".join(b"\0" + row.astype(codes.dtype.newbyteorder(">")).tobytes() for row in codes)
-
-    def chunk(name: bytes, body: bytes) -> bytes:
-        return (
-            struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
-        )
-
-    header = struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0)
-    return (
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", header)
-        + chunk(b"IDAT", zlib.compress(rows))
-        + chunk(b"IEND", b"")
-    )
+    return FOLDER / name
 
 
 def codes_of(dtype: str, channels: int, height: int = 5, width: int = 6) -> np.ndarray:

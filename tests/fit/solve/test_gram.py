@@ -16,8 +16,7 @@ from fit.solve._model import Model
 from fit.solve._parameters import chart, to_entries
 from fit.solve._samples import to_samples
 from model_jax import Layers, Look, Response, composite
-
-from .looks import TRUTH, picture
+from tests.fit.looks import TRUTH, picture
 
 SOLVERS = {
     "dogleg": optx.Dogleg(rtol=1e-12, atol=1e-12),
