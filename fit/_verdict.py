@@ -27,7 +27,8 @@ VERDICTS: dict[Verdict, tuple[str, str]] = {
     Verdict.CONVERGED: ("The fit converged", ""),
     Verdict.AT_BOUND: (
         "The best fit lies at a bound",
-        "check the alignment of photo and layers, the tone curve and the background",
+        "check the alignment of photo and layers, the tone curve and the background, and mask what "
+        "is no air",
     ),
     Verdict.NOT_IDENTIFIABLE: (
         "The photo cannot tell all that was asked",

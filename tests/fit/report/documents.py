@@ -117,7 +117,7 @@ CASES: dict[str, dict[str, Any]] = {
         verdict="at_bound",
         message="The best fit lies at a bound (shadow); it explains 97.2 % of the light's variance "
         "in the pixels used. To do: check the alignment of photo and layers, the tone curve and "
-        "the background.",
+        "the background, and mask what is no air.",
         parameters=LOOK | {"shadow": row(0.0, role="at_bound", free=True, initial=0.5)},
     ),
     "not_identifiable": document(
