@@ -162,7 +162,7 @@ def drawn(scene: Scene, depth: str = "auto", source: Source = "raster") -> Docum
 
 
 def digest(data: bytes | np.ndarray) -> str:
-    return hashlib.sha256(data).hexdigest()
+    return hashlib.sha256(data if isinstance(data, bytes) else data.tobytes()).hexdigest()
 
 
 def relief() -> Document:

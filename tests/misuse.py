@@ -129,6 +129,7 @@ def sweep() -> tuple[int, list[str]]:
     given = scene_file()
     scene = given.scene.resized(16, 12)
     known, calls, faults = right(scene), 0, []
+    wrong: tuple[Any, ...]
     wrong = ("x.exr", None, 3, object(), scene, given, Look(), known["layers"], [1, "a"], {}, b"x")
     functions = methods(scene, known["layers"])
     for module in (model_jax, render_gl, fit):

@@ -4,6 +4,8 @@ import re
 import subprocess
 import sys
 from importlib import metadata
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,13 +17,15 @@ import render_gl
 from .data import REPOSITORY
 
 PACKAGES = (model_jax, render_gl, fit)
+WHOLE: Any = airlight
+"""Its types list the names that it offers, and neither `__all__` nor what is no name."""
 
 
 def test_each_public_name_is_its_owners() -> None:
     names = [name for package in PACKAGES for name in package.__all__]
     assert len(names) == len(set(names)), "no two packages offer one name"
-    assert set(airlight.__all__) == {"__version__", *names}
-    assert dir(airlight) == sorted(airlight.__all__)
+    assert set(WHOLE.__all__) == {"__version__", *names}
+    assert dir(airlight) == sorted(WHOLE.__all__)
     for package in PACKAGES:
         for name in package.__all__:
             assert getattr(airlight, name) is getattr(package, name), name
@@ -33,10 +37,10 @@ def test_the_version_is_the_distributions() -> None:
 
 def test_a_name_that_is_none_is_told() -> None:
     with pytest.raises(AttributeError, match="module 'airlight' has no attribute 'atmosphere'"):
-        _ = airlight.atmosphere
+        _ = WHOLE.atmosphere
 
 
-def test_types_come_with_it(tmp_path) -> None:
+def test_types_come_with_it(tmp_path: Path) -> None:
     """mypy knows each name by its owner's type, and refuses others."""
     (tmp_path / "a.py").write_text(
         "import airlight\n"

@@ -17,7 +17,7 @@ import pytest
 import render_gl
 from fit import fit, load_photo
 from fit.cli._job import Job, run_job
-from model_jax import Look, analytic_layers, combine
+from model_jax import Layers, Look, analytic_layers, combine
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
@@ -66,7 +66,7 @@ def test_no_gradient_is_nan_on_any_example(name: str) -> None:
     scene = scene.resized(camera.width // 4, camera.height // 4)
     layers = analytic_layers(scene)
 
-    def loss(layers, look):
+    def loss(layers: Layers, look: Look) -> jax.Array:
         return jnp.sum(combine(layers, look) ** 2)
 
     floats = eqx.filter(layers, lambda leaf: isinstance(leaf, jax.Array))

@@ -68,5 +68,6 @@ def test_share_explained_is_what_a_fit_says() -> None:
     from render_gl import load_scene
 
     file = load_scene(ROOT / "examples/reference.toml")
+    assert file.photo.path is not None
     result = fit(load_photo(file.photo.path), analytic_layers(file.scene))
     assert result.explained == pytest.approx(0.58, abs=0.005)

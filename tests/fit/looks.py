@@ -5,6 +5,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from fit import FitResult
+from fit.diagnose._evidence import Evidence
 from model_jax import (
     Atmosphere,
     Camera,
@@ -61,6 +62,12 @@ def check_values(result: FitResult, truth: Look, tolerance: float) -> None:
             atol=tolerance * 0.1,  # the background is a tenth of what is bright in the picture
             err_msg=name,
         )
+
+
+def evidence_of(result: FitResult) -> Evidence:
+    """Samples and end point of the fit."""
+    assert isinstance(result.evidence, Evidence)
+    return result.evidence
 
 
 def square_sum(photo: np.ndarray, layers: Layers, result: FitResult) -> float:

@@ -37,7 +37,12 @@ def test_importing_starts_no_device(monkeypatch: pytest.MonkeyPatch) -> None:
     """`JAX_PLATFORMS` and the like may still be set after `import fit`: a device is asked for its
     options by the first call."""
     asked = []
-    monkeypatch.setattr(_compile, "_options", lambda: asked.append(1) or {})
+
+    def options() -> dict[str, bool]:
+        asked.append(1)
+        return {}
+
+    monkeypatch.setattr(_compile, "_options", options)
     sine = _compile.program(jnp.sin)
     assert not asked
     assert float(sine(jnp.float32(0))) == 0

@@ -1,6 +1,7 @@
 """The fit: recovery of known looks, and errors that mean what they say."""
 
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -17,7 +18,17 @@ from model_jax import (
     analytic_layers,
 )
 
-from .looks import START, TRUTH, check_values, oracle, picture, scene, square_sum, to_values
+from .looks import (
+    START,
+    TRUTH,
+    check_values,
+    evidence_of,
+    oracle,
+    picture,
+    scene,
+    square_sum,
+    to_values,
+)
 
 
 def test_recovers_from_float32_layers(layers: Layers) -> None:
@@ -28,7 +39,8 @@ def test_recovers_from_float32_layers(layers: Layers) -> None:
     assert result.explained > 1 - 1e-6
     assert result.parameters["brightness"].initial == 1.0
     assert result.brightness_per_length == pytest.approx(3.0 / 5.5, rel=1e-4)
-    assert not jax.config.jax_enable_x64
+    configuration: Any = jax.config  # its type does not list its settings
+    assert not configuration.jax_enable_x64
 
 
 def test_recovers_from_float64_layers(layers64: Layers) -> None:
@@ -146,7 +158,8 @@ def test_the_end_is_judged_by_what_a_step_promises(
     The exact steps at the end save every solver on a linear model, so the check is made by hand.
     """
     result = fit(noisy, layers64, START)
-    point, end = result.evidence.point, result.evidence.end
+    evidence = evidence_of(result)
+    point, end = evidence.point, evidence.end
     curved = end.gram[:-1, :-1]
     variance = end.square_sum / (point.problem.count - len(curved))
     step = np.zeros(len(curved))
@@ -176,5 +189,6 @@ def test_standard_errors_are_those_of_repetition(layers: Layers) -> None:
     assert np.all(np.abs(scores.mean(axis=0)) < 5 / np.sqrt(200))
     assert np.abs(np.corrcoef(values.T) - runs[0].correlation).max() < 0.35
     np.testing.assert_allclose(
-        np.sqrt(np.diag(runs[0].covariance)), [runs[0].parameters[n].stderr for n in names]
+        np.sqrt(np.diag(runs[0].covariance)),
+        np.array([runs[0].parameters[n].stderr for n in names], float),
     )

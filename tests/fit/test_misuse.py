@@ -65,7 +65,7 @@ def test_slips_are_named(given: Any, told: str, photo: np.ndarray, layers: Layer
 def test_layers_of_what_a_gradient_is_asked_for_are_refused(
     photo: np.ndarray, layers: Layers
 ) -> None:
-    def loss(height):
+    def loss(height: jax.Array) -> Any:
         case = scene()
         air = Atmosphere(height)
         traced = analytic_layers(Scene(case.camera, case.planet, air, case.sun))

@@ -50,8 +50,8 @@ def test_vmap_over_photos_is_a_loop_over_fits(
         one = fit(stack[k], layers, START)
         assert many.names == one.correlation_names
         stderr = np.sqrt(np.diag(one.covariance))
-        values = [many.look.brightness[k], many.look.shadow[k], *many.look.tint[k]]
-        values.append(many.look.background[k])
+        look = jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], many.look)
+        values = [look.brightness, look.shadow, *look.tint, look.background]
         known = np.array([one.parameters[name].value for name in one.correlation_names])
         assert np.all(np.abs(np.array(values) - known) < 0.1 * stderr)
         # The same sandwich with blocks of another size: within a factor of the number of blocks.

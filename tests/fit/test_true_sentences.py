@@ -5,6 +5,7 @@ import dataclasses
 import json
 import pickle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,7 +98,7 @@ def test_no_data_shows_no_picture_of_the_start_look(
     ],
 )
 def test_limits_of_what_is_held_are_refused(
-    words: dict[str, object], named: str, clean: np.ndarray, layers: Layers
+    words: dict[str, Any], named: str, clean: np.ndarray, layers: Layers
 ) -> None:
     with pytest.raises(InputError, match=named) as error:
         fit(clean, layers, START, **words)
@@ -308,8 +309,9 @@ def test_the_photo_of_a_scene_has_its_tone_curve_and_mask(tmp_path: Path) -> Non
     (tmp_path / "scene.toml").write_text(SCENE)
     with pytest.raises(InputError, match="the scene names none; write path into its"):
         load_photo(load_scene(tmp_path / "scene.toml").photo)
-    for slip in ("", {}, 0):
+    slips: tuple[Any, ...] = ("", {}, 0)
+    for slip in slips:
         with pytest.raises(InputError, match="none of the known curves"):
             load_photo(settings, slip)
     with pytest.raises(InputError, match=r"is a SceneFile; give its \.photo"):
-        load_photo(load_scene(tmp_path / "scene.toml"))
+        load_photo(load_scene(tmp_path / "scene.toml"))  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model_jax import Scene
+from model_jax import Scene, Sun
 
 Signed = Callable[[np.ndarray], np.ndarray]
 
@@ -45,12 +45,12 @@ class March:
         def ball(size: float, center: np.ndarray) -> Signed:
             return lambda t: np.linalg.norm(point(t) - center, axis=-1) - size
 
-        def umbra(size: float, center: np.ndarray) -> Signed:
+        def umbra(size: float, center: np.ndarray, sun: Sun) -> Signed:
             def signed(t: np.ndarray) -> np.ndarray:
                 p = point(t) - center
-                along = p @ scene.sun.direction
-                across = np.linalg.norm(p - along[..., None] * scene.sun.direction, axis=-1)
-                slope = np.tan(np.deg2rad(float(scene.sun.angular_radius_deg)))
+                along = p @ sun.direction
+                across = np.linalg.norm(p - along[..., None] * sun.direction, axis=-1)
+                slope = np.tan(np.deg2rad(float(sun.angular_radius_deg)))
                 # Behind the apex `across ≤ size + slope·along` cannot hold: it is positive there.
                 return np.maximum(across - size - slope * along, along)
 
@@ -62,7 +62,7 @@ class March:
         for k, (size, center) in enumerate(solids):
             self.bodies[f"solid {k}"] = ball(size, center)
             if scene.sun is not None:
-                self.bodies[f"shadow {k}"] = umbra(size, center)
+                self.bodies[f"shadow {k}"] = umbra(size, center, scene.sun)
         self.count = len(solids)
         self.inside = cache(self._inside)
         self._deepest = cache(lambda body: deepest(self.bodies[body], self.start, self.end))

@@ -30,9 +30,9 @@ def scene_of(
     place, aim = np.array(position), np.array(target)
     forward = aim - place
     up = (0.0, 0.0, 1.0) if abs(forward[2]) < 0.9 * np.linalg.norm(forward) else (0.0, 1.0, 0.0)
-    far = np.linalg.norm(place) + 3.0 if far is None else far
+    end: float | np.floating = np.linalg.norm(place) + 3.0 if far is None else far
     return Scene(
-        Camera(place * radius, forward, up, fov, *size, near * radius, far * radius),
+        Camera(place * radius, forward, up, fov, *size, near * radius, end * radius),
         Planet(radius),
         Atmosphere(shell * radius, (0.5, 0.7, 1.0), path),
         None if sun is None else Sun(sun, angular_radius),

@@ -112,13 +112,16 @@ def test_layers_keep_their_promises(name: str, dtype: np.dtype) -> None:
     layers = analytic_layers(scene, dtype)
     shape = (scene.camera.height, scene.camera.width)
     near, far = (
-        np.float64(plane) - layers.reference for plane in (scene.camera.near, scene.camera.far)
+        np.float64(plane) - np.float64(layers.reference)
+        for plane in (scene.camera.near, scene.camera.far)
     )
     # One rounding of the plane in planet radii, one of the product with the radius.
     ulp = 2 * np.finfo(dtype).eps * max(abs(near), abs(far))
     depths = [layers.front, layers.back]
     assert (layers.shadow_front is None) == (layers.shadow_back is None) == (scene.sun is None)
     if scene.sun is not None:
+        assert layers.shadow_front is not None
+        assert layers.shadow_back is not None
         depths += [layers.shadow_front, layers.shadow_back]
     for depth in depths:
         several = depth is not layers.front and depth is not layers.back and scene.occluders
@@ -126,9 +129,9 @@ def test_layers_keep_their_promises(name: str, dtype: np.dtype) -> None:
         assert depth.dtype == dtype
         assert np.all((np.asarray(depth) >= near - ulp) & (np.asarray(depth) <= far + ulp))
     assert np.all(layers.back >= layers.front)
-    assert np.all(np.isin(layers.planet, (0.0, 1.0)))
+    assert np.all(np.isin(np.asarray(layers.planet), (0.0, 1.0)))
     if scene.sun is not None:
-        assert np.all(layers.shadow_back >= layers.shadow_front)
+        assert np.all(np.asarray(layers.shadow_back) >= np.asarray(layers.shadow_front))
 
 
 def test_reference_is_the_centres_eye_depth() -> None:
@@ -149,7 +152,7 @@ def test_planet_hides_the_air_behind_it() -> None:
     """Straight down from 3 radii: air from 1.1 R to the ground at 1 R, in front of the centre."""
     scene = scene_of((0.0, -3.0, 0.0), size=(1, 1), shell=0.1, radius=1.0)
     layers = analytic_layers(scene)
-    assert layers.planet[0, 0] == 1
+    assert np.asarray(layers.planet)[0, 0] == 1
     assert layers.front[0, 0] == pytest.approx(-1.1, rel=1e-6)
     assert layers.back[0, 0] == pytest.approx(-1.0, rel=1e-6)
 

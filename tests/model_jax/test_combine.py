@@ -1,6 +1,7 @@
 """The combine contract by hand, its clamps, its colour, and what `composite` adds."""
 
 from dataclasses import fields
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -38,7 +39,7 @@ COLUMNS = [np.array([case[0][k] for case in CASES.values()]) for k in range(4)]
 LIT, DARK = (np.array([case[1][k] for case in CASES.values()]) for k in range(2))
 
 
-def layers_of(dtype: np.dtype, shadow: bool = True, **more: object) -> Layers:
+def layers_of(dtype: np.dtype, shadow: bool = True, **more: Any) -> Layers:
     """All cases as the pixels of one row."""
     front, back, shadow_front, shadow_back = (c[None, :].astype(dtype) for c in COLUMNS)
     if not shadow:
@@ -49,6 +50,7 @@ def layers_of(dtype: np.dtype, shadow: bool = True, **more: object) -> Layers:
 @pytest.mark.parametrize("unit", [1.0, 4.0])
 def test_widths_by_hand(unit: float, dtype: np.dtype) -> None:
     lit, dark = layer_widths(layers_of(dtype, width_unit=unit))
+    assert dark is not None
     assert lit.dtype == dark.dtype == dtype
     for k, name in enumerate(CASES):
         assert (float(lit[0, k]), float(dark[0, k])) == (LIT[k] / unit, DARK[k] / unit), name
@@ -77,7 +79,7 @@ def test_clamping_commutes_with_linearising_bit_for_bit(
     unit = jnp.asarray(far - near, dtype)
     np.testing.assert_array_equal(lit, ((z_back - shb) + (shf - z_front)) / unit)
     np.testing.assert_array_equal(dark, (shb - shf) / unit)
-    assert float(dark.max()) > 0.1
+    assert float(np.max(np.asarray(dark))) > 0.1
 
 
 def test_combine_is_the_contract(dtype: np.dtype) -> None:
@@ -96,7 +98,7 @@ def test_defaults_are_the_papers() -> None:
     assert (float(look.brightness), float(look.shadow)) == (3.0, 0.2)
     got = combine(layers_of(np.dtype("float32")), look)
     expected = 3.0 * (LIT + 0.2 * DARK)
-    np.testing.assert_allclose(got[0, :, 1], expected, rtol=4 * np.finfo(np.float32).eps)
+    np.testing.assert_allclose(got[0, :, 1], expected, rtol=4 * float(np.finfo(np.float32).eps))
 
 
 def test_alpha_is_the_colours_where_there_is_air(dtype: np.dtype) -> None:
@@ -131,7 +133,9 @@ def test_composite_adds_surface_and_background(background: object, dtype: np.dty
     got, air = composite(layers, look), combine(layers, look)
     added = np.broadcast_to(np.asarray(background) + 0.5, (*got.shape[:2], 3))
     # One sum of two roundings: the order in which three numbers are added is not the contract's.
-    np.testing.assert_allclose(got[..., :3] - air[..., :3], added, rtol=0, atol=_ulps(got))
+    np.testing.assert_allclose(
+        got[..., :3] - air[..., :3], added, rtol=0, atol=_ulps(np.asarray(got))
+    )
     np.testing.assert_array_equal(got[0, :, 3], np.maximum(air[0, :, 3], planet[0]))
 
 
@@ -162,30 +166,35 @@ def test_overlapping_shadows_count_once(
     ends = (np.asarray(depth, float) for depth in (layers.shadow_front, layers.shadow_back))
     covered = union(list(zip(*(np.clip(depth, front, back) for depth in ends), strict=True)))
     lit, dark = layer_widths(layers)
+    assert dark is not None
     assert lit.dtype == dark.dtype == dtype
     # Each of `count` + 1 differences of depths below 1, and each sum, is off by half an ulp of 1.
     atol = (count + 1) * np.finfo(dtype).eps
     np.testing.assert_allclose(dark, covered, rtol=0, atol=atol)
     np.testing.assert_allclose(lit, back - front - covered, rtol=0, atol=atol)
     if count > 1:
-        alone = layers.shadow_back[0] - layers.shadow_front[0]
-        assert np.mean(np.asarray(dark) != np.asarray(alone)) > 0.5
+        alone = np.asarray(layers.shadow_back)[0] - np.asarray(layers.shadow_front)[0]
+        assert np.mean(np.asarray(dark) != alone) > 0.5
 
 
 def test_one_shadow_of_several_is_the_contract_bit_for_bit(
     rng: np.random.Generator, dtype: np.dtype
 ) -> None:
     layers = shadows_of(rng, 1, dtype)
-    alone = Layers(layers.front, layers.back, layers.shadow_front[0], layers.shadow_back[0])
+    begin, end = np.asarray(layers.shadow_front), np.asarray(layers.shadow_back)
+    alone = Layers(layers.front, layers.back, begin[0], end[0])
     for one, several in zip(layer_widths(alone), layer_widths(layers), strict=True):
         np.testing.assert_array_equal(one, several)
 
 
 def test_the_order_of_shadows_does_not_show(rng: np.random.Generator, dtype: np.dtype) -> None:
     layers = shadows_of(rng, 4, dtype)
-    turned = Layers(layers.front, layers.back, layers.shadow_front[::-1], layers.shadow_back[::-1])
+    begin, end = np.asarray(layers.shadow_front), np.asarray(layers.shadow_back)
+    turned = Layers(layers.front, layers.back, begin[::-1], end[::-1])
     for width, again in zip(layer_widths(layers), layer_widths(turned), strict=True):
         # Shadows that begin together are added in the order given: sums are rounded differently.
+        assert width is not None
+        assert again is not None
         np.testing.assert_allclose(width, again, rtol=0, atol=5 * np.finfo(dtype).eps)
 
 
@@ -200,7 +209,7 @@ def test_rows_are_a_part_of_the_picture(rng: np.random.Generator) -> None:
     for width, some in zip(
         layer_widths(layers), layer_widths(layers.rows(slice(5, 9))), strict=True
     ):
-        np.testing.assert_array_equal(width[5:9], some)
+        np.testing.assert_array_equal(np.asarray(width)[5:9], some)
 
 
 def test_rows_have_all_that_the_whole_has() -> None:

@@ -74,7 +74,8 @@ def test_textures_without_a_far_plane_have_finite_widths(encoding: Encoding) -> 
     codes = [near / depth for depth in (z, z + 2)]
     if encoding == "window":
         codes = [1 - code for code in codes]
-    textures = DepthTextures(*codes, None, None, near, np.inf, encoding)
+    front, back = codes
+    textures = DepthTextures(front, back, None, None, near, np.inf, encoding)
     layers = textures.linearize()
     lit, _ = layer_widths(layers)
     np.testing.assert_allclose(lit, [[2, 2, 0]], rtol=1e-5)
@@ -134,11 +135,11 @@ def test_traced_planes_give_the_same_depth(dtype: np.dtype) -> None:
     )
 
 
-def textures(dtype: np.dtype, encoding: str, shadow: bool = True) -> DepthTextures:
+def textures(dtype: np.dtype, encoding: Encoding, shadow: bool = True) -> DepthTextures:
     window = np.linspace(0.1, 0.8, 12).reshape(3, 4).astype(dtype)
     later = window + np.asarray(0.05, dtype)
-    pair = (window + np.asarray(0.01, dtype), later) if shadow else (None, None)
-    return DepthTextures(window, later, *pair, 0.5, 8.0, encoding, 2.0)
+    begin, end = (window + np.asarray(0.01, dtype), later) if shadow else (None, None)
+    return DepthTextures(window, later, begin, end, 0.5, 8.0, encoding, 2.0)
 
 
 def test_textures_become_layers(dtype: np.dtype) -> None:
@@ -158,7 +159,7 @@ def test_linear_textures_pass_through_with_their_reference(dtype: np.dtype) -> N
 
 
 @pytest.mark.parametrize("encoding", ["window", "reversed", "linear"])
-def test_absent_shadow_stays_absent(encoding: str) -> None:
+def test_absent_shadow_stays_absent(encoding: Encoding) -> None:
     layers = textures(np.dtype("float32"), encoding, shadow=False).linearize()
     assert layers.shadow_front is None
     assert layers.shadow_back is None

@@ -8,7 +8,8 @@ for h = 1e-3 and functions without structure finer than their argument.
 
 import itertools
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -37,8 +38,8 @@ RELATIVE = 1e-6
 STEP = 1e-3
 SHAPE = (4, 5)
 COLOR = np.array([0.4, 0.6, 0.9, 0.8])
-Numbers = jax.Array | np.ndarray | dict
-Function = Callable[[Numbers], jax.Array]
+Numbers = jax.Array | np.ndarray
+Function = Callable[[Any], Numbers]
 
 
 def depths() -> dict[str, np.ndarray]:
@@ -57,9 +58,9 @@ def depths() -> dict[str, np.ndarray]:
     }
 
 
-def painted(look: Look, **changes: jax.Array) -> jax.Array:
+def painted(look: Look, **changes: Any) -> Numbers:
     """The picture of `depths` under a look; a depth or the colour may be replaced."""
-    fields = depths() | {"color": COLOR, "width_unit": 7.0} | changes
+    fields: dict[str, Any] = depths() | {"color": COLOR, "width_unit": 7.0} | changes
     return composite(Layers(**fields), look)[..., :3]
 
 
@@ -67,7 +68,7 @@ def through_windows(name: str, far: float) -> Function:
     """The combine of one window-depth texture, the others fixed; near is 1."""
     textures = {key: far / (far - 1) * (1 - 1 / z) for key, z in depths().items()}
 
-    def picture(window: jax.Array) -> jax.Array:
+    def picture(window: jax.Array) -> Numbers:
         replaced = DepthTextures(
             **(textures | {name: window}), near=1.0, far=far, encoding="window"
         )
@@ -94,7 +95,12 @@ SHADOWS = {
 """Eye depths of a second shadow, relative to the front of the air."""
 
 
-def overshadowed(name: str, value: jax.Array) -> jax.Array:
+def with_depth(name: str, value: jax.Array) -> Numbers:
+    """The picture with another of its depths."""
+    return painted(Look(), **{name: value})
+
+
+def overshadowed(name: str, value: jax.Array) -> Numbers:
     """The picture with two shadows, of which one depth of the second is given."""
     first = depths()
     second = {key: jnp.asarray(first["front"] + more) for key, more in SHADOWS.items()}
@@ -103,14 +109,11 @@ def overshadowed(name: str, value: jax.Array) -> jax.Array:
 
 
 UNIONS: dict[str, tuple[Function, object]] = {
-    f"second {name}": (
-        lambda v, name=name: overshadowed(name, v),
-        depths()["front"] + SHADOWS[name],
-    )
+    f"second {name}": (partial(overshadowed, name), depths()["front"] + SHADOWS[name])
     for name in SHADOWS
 }
 DEPTHS: dict[str, tuple[Function, object]] = {
-    name: (lambda v, name=name: painted(Look(), **{name: v}), z) for name, z in depths().items()
+    name: (partial(with_depth, name), z) for name, z in depths().items()
 }
 WINDOWS: dict[str, tuple[Function, object]] = {
     f"{name}, far/near {far:g}": (through_windows(name, far), far / (far - 1) * (1 - 1 / z))
@@ -142,8 +145,8 @@ def modes(function: Function) -> tuple[Callable, Callable, Callable]:
 
 def compare(
     function: Function,
-    at: Numbers,
-    direction: Numbers,
+    at: Numbers | dict[str, np.ndarray],
+    direction: Numbers | dict[str, np.ndarray],
     rng: np.random.Generator,
     least_smooth: float = 1.0,
 ) -> None:
@@ -200,7 +203,9 @@ def widths(use: dict[str, jax.Array]) -> jax.Array:
     sun = Sun(use["sun"], use["angular_radius"])
     scene = Scene(camera, Planet(use["radius"]), Atmosphere(use["height"]), sun)
     layers = analytic_layers(scene, jnp.float64)
-    return jnp.stack(layer_widths(layers)) * layers.width_unit
+    lit, dark = layer_widths(layers)
+    assert dark is not None
+    return jnp.stack([lit, dark]) * layers.width_unit
 
 
 @pytest.mark.usefixtures("x64")
@@ -241,7 +246,7 @@ in the full sweep in both."""
 
 
 def cases() -> list[object]:
-    found = []
+    found: list[object] = []
     for (k, name), precision in itertools.product(enumerate(SCENES), ("float32", "float64")):
         once = "float32" if name in ONCE else ("float32", "float64")[k % 2]
         full = name in SLOW or precision != once
@@ -276,7 +281,7 @@ TIES = {
 def test_ties_are_finite(name: str, mode: Callable, dtype: np.dtype) -> None:
     values = [jnp.full((1, 1), z, dtype) for z in TIES[name]]
 
-    def picture(depths: list[jax.Array], look: Look) -> jax.Array:
+    def picture(depths: list[jax.Array], look: Look) -> Numbers:
         return combine(Layers(*depths), look)
 
     look = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), Look())
@@ -316,5 +321,5 @@ def test_the_planted_scenes_touch_exactly() -> None:
     assert scene.camera.forward[0] == 0.0
     middle = scene_of((1.0, -5.0, 0.0), (1.0, 0.0, 0.0), size=(1, 1), radius=1.0)
     layers = analytic_layers(middle)
-    assert layers.planet[0, 0] == 0.0
+    assert np.asarray(layers.planet)[0, 0] == 0.0
     assert layers.back[0, 0] > 0.0 > layers.front[0, 0]

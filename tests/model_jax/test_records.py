@@ -1,6 +1,7 @@
 """Scene and look records: defaults, conversion, and the one line that a bad value gets."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
@@ -19,7 +20,7 @@ from model_jax import (
     Sun,
 )
 
-GOOD = {
+GOOD: dict[str, Any] = {
     "position": (0.0, -3.0, 0.0),
     "forward": (0.0, 2.0, 0.0),
     "up": (0.0, 0.0, 1.0),
@@ -33,7 +34,7 @@ GOOD = {
 DEPTH = np.zeros((2, 3), np.float32)
 
 
-def camera(**changes: object) -> Camera:
+def camera(**changes: Any) -> Camera:
     return Camera(**(GOOD | changes))
 
 
@@ -101,8 +102,8 @@ BAD: dict[str, tuple[Callable[[], object], str, str]] = {
     "tint negative": (lambda: Look(tint=(1.0, -1.0, 1.0)), "look.tint", "-1"),
     "background infinite": (lambda: Look(background=float("inf")), "look.background", "inf"),
     "layers rgb": (lambda: Layers(DEPTH, DEPTH, color=np.ones(3)), "layers.color", "1"),
-    "look of text": (lambda: Look(brightness="bright"), "look.brightness", "bright"),
-    "look of a digit": (lambda: Look(brightness="3"), "look.brightness", "'3'"),
+    "look of text": (lambda: Look(brightness="bright"), "look.brightness", "bright"),  # type: ignore[arg-type]
+    "look of a digit": (lambda: Look(brightness="3"), "look.brightness", "'3'"),  # type: ignore[arg-type]
     "look of two": (lambda: Look(shadow=[1, 2]), "look.shadow", "[1.0, 2.0]"),
     "look beyond floats": (lambda: Look(brightness=10**400), "look.brightness", "400 digits"),
     "near beyond floats": (lambda: camera(near=10**400), "camera.near", "400 digits"),
@@ -122,7 +123,7 @@ BAD: dict[str, tuple[Callable[[], object], str, str]] = {
         "planet.relief_scale",
         "400 digits",
     ),
-    "scale of none": (lambda: Planet(1.0, relief_scale=None), "planet.relief_scale", "None"),
+    "scale of none": (lambda: Planet(1.0, relief_scale=None), "planet.relief_scale", "None"),  # type: ignore[arg-type]
     "triangles beyond floats": (
         lambda: Planet(1.0, triangles=10**400),
         "planet.triangles",

@@ -1,5 +1,8 @@
 """What a camera records: values, slopes that are finite at and below black, errors."""
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,31 +47,33 @@ def test_gamma_1_is_the_linear_record(dtype: np.dtype) -> None:
     light = LIGHT.astype(dtype)
     camera = Response(1.7, 1.0, -0.3)
 
-    def both(exposure: jax.Array, level: jax.Array, light: jax.Array, linear: bool) -> jax.Array:
+    def both(
+        exposure: jax.Array, level: jax.Array, light: jax.Array, *, linear: bool
+    ) -> jax.Array | np.ndarray:
         return record(light, Response(exposure, camera.gamma, level), linear=linear)
 
     arguments = (jnp.asarray(1.7, dtype), jnp.asarray(-0.3, dtype), jnp.asarray(light))
     for part in (lambda f: f, jax.jacfwd, lambda f: jax.jacrev(f, (0, 1)), jax.jacrev):
-        plain, power = (part(lambda *a, k=k: both(*a, k))(*arguments) for k in (True, False))
+        plain, power = (part(lambda *a, k=k: both(*a, linear=k))(*arguments) for k in (True, False))
         for one, other in zip(jax.tree.leaves(plain), jax.tree.leaves(power), strict=True):
             np.testing.assert_allclose(one, other, rtol=128 * np.finfo(dtype).eps, atol=1e-30)
 
 
 @pytest.mark.parametrize("gamma", [0.45, 1.0, 2.2])
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev], ids=["forward", "reverse"])
-def test_slopes(mode: object, gamma: float, x64: None) -> None:
+def test_slopes(mode: Callable[..., Any], gamma: float, x64: None) -> None:
     """Finite at zero and below, in all four arguments; elsewhere those of central differences.
 
     A step of 1e-6 of the argument leaves 1e-12 of curvature and 1e-10 of rounding.
     """
     light = np.array([-2.0, -0.1, 0.0, 0.3, 2.0])
-    at = (light, 1.3, gamma, 0.02)
+    at: tuple[Any, ...] = (light, 1.3, gamma, 0.02)
 
-    def recorded(light: object, exposure: object, gamma: object, level: object) -> jax.Array:
+    def recorded(light: Any, exposure: Any, gamma: Any, level: Any) -> jax.Array | np.ndarray:
         camera = Response(jnp.asarray(exposure), jnp.asarray(gamma), jnp.asarray(level))
         return record(jnp.asarray(light), camera)
 
-    slopes = mode(recorded, argnums=(0, 1, 2, 3))(*map(jnp.asarray, at))  # type: ignore[operator]
+    slopes = mode(recorded, argnums=(0, 1, 2, 3))(*map(jnp.asarray, at))
     for k, slope in enumerate(slopes):
         found = np.asarray(slope)
         assert np.isfinite(found).all()

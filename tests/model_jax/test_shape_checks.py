@@ -33,14 +33,14 @@ def test_a_transposed_image_fails(fields: dict[str, np.ndarray]) -> None:
 
 def test_a_transposed_texture_fails() -> None:
     with pytest.raises(TypeCheckError):
-        DepthTextures(WIDE, TALL, None, None, 1.0, 2.0, False)
+        DepthTextures(WIDE, TALL, None, None, 1.0, 2.0, "window")
 
 
 def test_a_wrong_argument_fails() -> None:
     with pytest.raises(TypeCheckError):
-        combine(WIDE, Look())
+        combine(WIDE, Look())  # type: ignore[arg-type]
     with pytest.raises(TypeCheckError):
-        limb_height("scene.toml")
+        limb_height("scene.toml")  # type: ignore[arg-type]
 
 
 def test_different_ranks_do_not_meet() -> None:

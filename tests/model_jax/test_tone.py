@@ -1,5 +1,8 @@
 """Tone curves: reference values, inverses, finite gradients at black and at saturation."""
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -75,7 +78,7 @@ def test_exposure_saturates_at_one() -> None:
 
 @curves
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev], ids=["forward", "reverse"])
-def test_gradients_are_finite(curve: ToneCurve, mode: object, dtype: np.dtype) -> None:
+def test_gradients_are_finite(curve: ToneCurve, mode: Callable[..., Any], dtype: np.dtype) -> None:
     """At black, below it, at the break of sRGB, at and beyond saturation."""
     x = np.array([-0.5, -1e-9, 0.0, 1e-30, 0.0031308, 0.5, 1.0, 2.0, 1e3, 1e6], dtype)
     for point in x:
@@ -86,7 +89,7 @@ def test_gradients_are_finite(curve: ToneCurve, mode: object, dtype: np.dtype) -
 
 @pytest.mark.parametrize("point", [0.0, 0.3, 50.0], ids=["black", "middle", "saturated"])
 def test_gradients_in_the_curves_own_numbers_are_finite(point: float, dtype: np.dtype) -> None:
-    def stored(exposure: jax.Array, gamma: jax.Array) -> jax.Array:
+    def stored(exposure: jax.Array, gamma: jax.Array) -> jax.Array | np.ndarray:
         return Exposure(exposure, gamma).encode(jnp.asarray(point, dtype))
 
     gradient = jax.grad(stored, (0, 1))(jnp.asarray(1.5, dtype), jnp.asarray(2.2, dtype))

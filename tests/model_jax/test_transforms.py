@@ -1,5 +1,7 @@
 """jit, vmap and grad compose: over looks, over scenes, inside one another."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,7 +15,7 @@ from .scenes import OCTANTS
 SCENE_LIST = list(OCTANTS.values())[:3]
 
 
-def cast(tree: object, dtype: np.dtype) -> object:
+def cast(tree: Any, dtype: np.dtype) -> Any:
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), tree)
 
 

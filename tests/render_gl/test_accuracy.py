@@ -8,8 +8,18 @@ import numpy as np
 import pytest
 
 import render_gl
-from model_jax import Atmosphere, Camera, Planet, Scene, analytic_layers, layer_widths, width_ranges
-from render_gl._accuracy import displacement, measure_accuracy, predict_accuracy, smooth
+from model_jax import (
+    Atmosphere,
+    Camera,
+    Layers,
+    Planet,
+    Scene,
+    analytic_layers,
+    layer_widths,
+    width_ranges,
+)
+from render_gl import DepthFormat, Source
+from render_gl._accuracy import Accuracy, displacement, measure_accuracy, predict_accuracy, smooth
 from render_gl._depth_format import EPS, choose_format
 from render_gl._mesh import cone_mesh, sphere_mesh
 from render_gl._mesh_error import heights_at
@@ -39,7 +49,7 @@ one is drawn in the paper's and every second one in the most exact one, as meshe
 
 
 def drawings() -> list[object]:
-    found = []
+    found: list[object] = []
     for (k, name), source, depth_format in itertools.product(
         enumerate(SCENES | STEPPED), render_gl.SOURCES, render_gl.DEPTH_FORMATS
     ):
@@ -54,7 +64,9 @@ def drawings() -> list[object]:
 
 
 @pytest.mark.parametrize(("name", "source", "depth_format"), drawings())
-def test_rasterised_widths_are_as_predicted(name: str, source: str, depth_format: str) -> None:
+def test_rasterised_widths_are_as_predicted(
+    name: str, source: Source, depth_format: DepthFormat
+) -> None:
     """Every width is within its bound; and what is said of the scene, before it is drawn, is no
     excuse for more."""
     case = (SCENES | STEPPED)[name]
@@ -98,22 +110,30 @@ def test_rays_are_as_exact_as_float32_and_meshes_are_not() -> None:
     # A mesh of 196,020 triangles lies 3e-5 radii inside, float32 rounds to 6e-8: the ratio of 500
     # is that of widths off the limb; at the limb both grow as roots of it.
     for row in ("lit", "dark"):
-        assert mesh.summary()[row]["median"] > 50 * ray.summary()[row]["median"]
+        assert figures(mesh, row)["median"] > 50 * figures(ray, row)["median"]
     assert ray.largest < 2e-5 * 6371
     assert mesh.largest > 2e-3 * 6371
 
 
 @pytest.mark.parametrize("source", render_gl.SOURCES)
 @pytest.mark.parametrize("name", SCENES)
-def test_a_shadow_has_both_ends_or_none(name: str, source: str) -> None:
+def test_a_shadow_has_both_ends_or_none(name: str, source: Source) -> None:
     """A back drawn where no front is made widths of -854 km (a stray pixel in 1 of 40 scenes)."""
     layers = render_gl.render(SCENES[name], "linear", source)
     if layers.shadow_front is None:
         return
-    assert np.any(layers.shadow_back > layers.shadow_front)
-    assert float(np.min(layers.shadow_back - layers.shadow_front)) >= 0
+    front, back = np.asarray(layers.shadow_front), np.asarray(layers.shadow_back)
+    assert np.any(back > front)
+    assert float(np.min(back - front)) >= 0
     _, dark = layer_widths(layers)
-    assert float(np.min(dark)) >= 0
+    assert float(np.min(np.asarray(dark))) >= 0
+
+
+def figures(accuracy: Accuracy, row: str) -> dict[str, float]:
+    """A row of the summary."""
+    found = accuracy.summary()[row]
+    assert isinstance(found, dict)
+    return found
 
 
 def random_scene(rng: np.random.Generator) -> Scene:
@@ -196,16 +216,16 @@ def test_clip_planes_through_the_scene_clamp_alike(near: float, far: float) -> N
 def test_prediction_is_no_excuse() -> None:
     """Half the median prediction is really used up: the bound is not just large."""
     accuracy = measure_accuracy(SCENES["sun (1, -1, 1)"], "linear", "mesh")
-    lit = accuracy.summary()["lit"]
+    lit = figures(accuracy, "lit")
     assert lit["predicted_median"] <= 20 * lit["median"]
 
 
-def test_a_wrong_radius_is_found(monkeypatch) -> None:
+def test_a_wrong_radius_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """The comparison fails when the shell is drawn 0.1 % too large."""
     case = SCENES["sun (1, -1, 1)"]
     original = render_gl._accuracy.render
 
-    def wrong(scene: Scene, depth_format: str, source: str):
+    def wrong(scene: Scene, depth_format: DepthFormat, source: Source) -> Layers:
         height = scene.atmosphere.height + 0.001 * scene.planet.radius
         scene = eqx.tree_at(lambda s: s.atmosphere.height, scene, height)
         return original(scene, depth_format, source)
@@ -257,7 +277,7 @@ def test_what_meshes_do_to_widths_is_foreseen_on_average() -> None:
         mesh, ray = (render_gl.render(case, "linear", source) for source in ("mesh", "raster"))
         assert ray.width_error is None
         off = np.abs((mesh.back - mesh.front) - (ray.back - ray.front))
-        foreseen = mesh.width_error
+        foreseen = np.asarray(mesh.width_error)
         assert 1 < np.sum(foreseen) / np.sum(off) < 2.5
 
 

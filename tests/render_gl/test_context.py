@@ -4,6 +4,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from ctypes import CDLL, c_void_p
+from typing import Any
 
 import jax
 import moderngl
@@ -25,9 +26,8 @@ def current() -> int | None:
 
 
 def another() -> moderngl.Context:
-    return moderngl.create_context(
-        standalone=True, backend="egl", libgl="libGL.so.1", libegl="libEGL.so.1"
-    )
+    settings: Any = {"backend": "egl", "libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
+    return moderngl.create_context(standalone=True, **settings)
 
 
 def test_another_context_is_left_alone_and_takes_nothing_away() -> None:
@@ -79,7 +79,7 @@ def test_numbers_of_jax_are_drawn_as_they_are_whatever_the_threads_setting() -> 
 
 
 def test_a_traced_look_is_refused() -> None:
-    def image(brightness):
+    def image(brightness: jax.Array) -> jax.Array | np.ndarray:
         return render_gl.render_image(scene(), Look(brightness=brightness), "linear")
 
     with pytest.raises(InputError, match=r"traced.*outside of jit"):
@@ -129,8 +129,8 @@ def draw():
     assert line.endswith("draw before the program ends")
 
 
-def test_without_a_driver_the_error_says_what_to_install(monkeypatch) -> None:
-    def fail(**settings):
+def test_without_a_driver_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(**settings: object) -> None:
         raise Exception("cannot load libEGL")
 
     monkeypatch.setattr(moderngl, "create_context", fail)

@@ -93,7 +93,7 @@ def test_stored_depths_come_back_within_the_error(depth_format: DepthFormat, nea
     storage = STORAGE[depth_format]
     z = np.geomspace(near, far, 10_001)
     if storage.encoding == "linear":
-        found = np.float64(np.float32(z - center)) + center
+        found = (z - center).astype(np.float32).astype(np.float64) + center
     else:
         a, b = depth_constants(near, far, storage.encoding)
         steps = {"window16": 65535, "window24": 2**24 - 1}.get(depth_format)

@@ -4,12 +4,22 @@ from collections.abc import Callable
 from itertools import product
 from math import inf
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import render_gl
-from model_jax import Camera, InputError, Layers, Planet, Scene, analytic_layers, layer_widths
+from model_jax import (
+    Camera,
+    Encoding,
+    InputError,
+    Layers,
+    Planet,
+    Scene,
+    analytic_layers,
+    layer_widths,
+)
 
 from ..fit.looks import scene
 
@@ -49,18 +59,18 @@ def write(path: Path, layers: Layers, kind: str) -> Path:
     def code(depths: object) -> np.ndarray:
         return CODES[kind](np.asarray(depths, np.float64) + float(layers.reference))
 
-    channels = {"front.Z": layers.front, "back.Z": layers.back}
+    channels: dict[str, object] = {"front.Z": layers.front, "back.Z": layers.back}
     channels |= {"shadow_front.Z": layers.shadow_front, "shadow_back.Z": layers.shadow_back}
     render_gl.write_channels(path, {name: code(d) for name, d in channels.items()}, {})
     return path
 
 
-def options(kind: str) -> dict[str, object]:
+def options(kind: str) -> dict[str, Any]:
     encoding, _, more = kind.partition(" ")
     if encoding == "linear":
         return {"encoding": "linear"}
     far = inf if more == "inf" else FAR
-    found: dict[str, object] = {"near": NEAR, "far": far, "encoding": encoding}
+    found: dict[str, Any] = {"near": NEAR, "far": far, "encoding": encoding}
     return found | ({"constant": float(more)} if encoding == "log" and more else {})
 
 
@@ -72,7 +82,7 @@ def test_every_encoding_gives_the_same_widths(kind: str, exact: Layers, tmp_path
     found = render_gl.read_layers(write(tmp_path / "a.exr", exact, kind), **options(kind))
     for got, true in zip(layer_widths(found), layer_widths(exact), strict=True):
         unit = float(found.width_unit) / float(exact.width_unit)
-        np.testing.assert_allclose(got * unit, true, atol=4 * 6e-7 * 6)
+        np.testing.assert_allclose(np.asarray(got) * unit, np.asarray(true), atol=4 * 6e-7 * 6)
 
 
 @pytest.mark.parametrize("said", [kind for kind in CODES if kind != "linear"])
@@ -108,7 +118,7 @@ def test_coded_depths_are_no_eye_depths(kind: str, exact: Layers, tmp_path: Path
     ],
 )
 def test_layers_of_meshes_and_of_16_bits_are_let_through(
-    depth: str, triangles: int, looked_past: Scene, tmp_path: Path
+    depth: render_gl.DepthFormat, triangles: int, looked_past: Scene, tmp_path: Path
 ) -> None:
     planet = Planet(1.0, triangles=triangles)
     coarse = Scene(looked_past.camera, planet, looked_past.atmosphere, looked_past.sun)
@@ -131,7 +141,7 @@ def test_layers_of_meshes_and_of_16_bits_are_let_through(
     ],
 )
 def test_what_cannot_be_is_named(
-    given: dict[str, object], told: str, exact: Layers, tmp_path: Path
+    given: dict[str, Any], told: str, exact: Layers, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=told):
         render_gl.read_layers(write(tmp_path / "a.exr", exact, "window"), **given)
@@ -144,10 +154,11 @@ def test_files_of_other_renderers(data_dir: Path) -> None:
     width = np.asarray(layer_widths(exact)[0]) * float(exact.width_unit)
     with pytest.raises(InputError, match="with --encoding log; give that"):
         render_gl.read_layers(cases / "log_depth_layers.exr", 8100.0, 21050.0)
-    for name, near, far, encoding in (
+    files: list[tuple[str, float, float, Encoding]] = [
         ("log_depth_layers.exr", 8100.0, 21050.0, "log"),
         ("reversed_infinite_layers.exr", 8100.0, inf, "reversed"),
-    ):
+    ]
+    for name, near, far, encoding in files:
         layers = render_gl.read_layers(cases / name, near, far, encoding)
         found = np.asarray(layer_widths(layers)[0]) * float(layers.width_unit)
         # float32 codes of log(z + 1) / log(far + 1) resolve 0.01 km at these depths.

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -142,7 +143,7 @@ class TestForeignFiles:
     def test_every_sample_type_becomes_float32(
         self, tmp_path: Path, dtype: type, values: list
     ) -> None:
-        stored = np.array([values], dtype=dtype)
+        stored: np.ndarray = np.array([values], dtype=dtype)
         read, _ = read_channels(write_raw(tmp_path / "a.exr", {"id": stored}))
         np.testing.assert_array_equal(read["id"], stored.astype(np.float32))
 
@@ -205,10 +206,10 @@ class TestForeignFiles:
         ],
     )
     def test_kinds_that_are_not_read_are_named(
-        self, tmp_path: Path, make: object, fragment: str
+        self, tmp_path: Path, make: Callable[[Path], object], fragment: str
     ) -> None:
         path = tmp_path / "a.exr"
-        make(path)  # type: ignore[operator]
+        make(path)
         with pytest.raises(InputError, match=fragment):
             read_channels(path)
 
@@ -335,7 +336,11 @@ class TestFiles:
     def test_a_link_keeps_pointing_at_the_new_file(self, tmp_path: Path) -> None:
         (tmp_path / "real.txt").write_text("old")
         (tmp_path / "link.txt").symlink_to("real.txt")
-        write_whole(tmp_path / "link.txt", lambda path: path.write_text("new") and None)
+
+        def write(path: Path) -> None:
+            path.write_text("new")
+
+        write_whole(tmp_path / "link.txt", write)
         assert (tmp_path / "link.txt").is_symlink()
         assert (tmp_path / "real.txt").read_text() == "new"
 

@@ -3,6 +3,7 @@
 import io
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ def stacked(samples: np.ndarray, *more: np.ndarray) -> np.ndarray:
     return np.stack([samples] * 3 + [*more], axis=-1)
 
 
-GREY: dict[str, tuple[Callable[[Path], object], np.ndarray]] = {
+GREY: dict[str, tuple[Callable[[Path], object], np.ndarray | float]] = {
     "PNG of 8 bits": (lambda path: png(path, BYTES), BYTES / 255),
     "PNG of 16 bits": (lambda path: png(path, CODES), CODES / 65535),
     "PNG of 16 bits with alpha": (
@@ -98,7 +99,7 @@ GREY: dict[str, tuple[Callable[[Path], object], np.ndarray]] = {
         CODES / 65535,
     ),
     **{
-        f"TIFF of {kind}": (lambda path, kind=kind: tiff(path, METRES.astype(kind)), METRES)
+        f"TIFF of {kind}": (partial(tiff, samples=METRES.astype(kind)), METRES)
         for kind in ("float16", "float32", "float64", "int16", "int32", "uint32")
     },
     "RGB TIFF of float32": (
@@ -166,7 +167,9 @@ def lengthened(path: Path, samples: np.ndarray) -> None:
     """A TIFF that claims twice the rows, of strips that are not there."""
     tiff(path, samples, compression="deflate", rowsperstrip=1)
     with tifffile.TiffFile(path, mode="r+") as file:
-        file.pages[0].tags["ImageLength"].overwrite(2 * len(samples))
+        page = file.pages[0]
+        assert isinstance(page, tifffile.TiffPage)
+        page.tags["ImageLength"].overwrite(2 * len(samples))
 
 
 NO_RELIEF: dict[str, tuple[Callable[[Path], object], str]] = {
@@ -209,7 +212,7 @@ NO_RELIEF: dict[str, tuple[Callable[[Path], object], str]] = {
     "cut TIFF": (lambda path: cut(path, CODES), "cut off after"),
     "TIFF without its last rows": (lambda path: lengthened(path, CODES), "page are missing"),
     "TIFF with NaN": (
-        lambda path: tiff(path, np.float32([[0, 1, np.nan], [np.inf, 2, 3]])),
+        lambda path: tiff(path, np.array([[0, 1, np.nan], [np.inf, 2, 3]], np.float32)),
         "2 of its heights are not finite, the first, nan, at row 0, column 2; fill them in",
     ),
     "beyond float32": (
@@ -253,7 +256,7 @@ NO_RELIEF: dict[str, tuple[Callable[[Path], object], str]] = {
     "only the magic": (lambda path: path.write_bytes(b"\x93NUMPY"), "damaged or cut off ("),
     **{
         f"header {text[:9]!r}": (
-            lambda path, text=text: path.write_bytes(npy_header(text)),
+            partial(Path.write_bytes, data=npy_header(text)),
             "damaged or cut off (",
         )
         for text in (
@@ -385,7 +388,7 @@ def test_damage_never_ends_in_a_traceback(
     elif form == "PNG":
         png(path, samples)
     elif form == "JPEG":
-        pillow(path, np.uint8(samples // 256), "RGB", "JPEG")
+        pillow(path, (samples // 256).astype(np.uint8), "RGB", "JPEG")
     else:
         tiff(path, samples, compression="deflate" if form == "deflated TIFF" else None)
     intact = path.read_bytes()

@@ -1,6 +1,7 @@
 """Rendering, and layer files: what comes out has the right shape, side up and numbers."""
 
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -31,7 +32,9 @@ def test_layers_of_a_scene_without_sun_have_no_shadow() -> None:
     assert layers.surface is None
 
 
-def test_shadow_passes_are_left_out_when_no_air_in_view_is_in_shadow(monkeypatch) -> None:
+def test_shadow_passes_are_left_out_when_no_air_in_view_is_in_shadow(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """From the sun's side the planet hides its shadow: the layers are the same without it."""
     case = SCENES["sun behind camera"]
     pruned = render_gl.render(case, "linear")
@@ -45,7 +48,7 @@ def test_shadow_passes_are_left_out_when_no_air_in_view_is_in_shadow(monkeypatch
     _, dark = layer_widths(full)
     # What the full passes find is the meshes' deviation from the sphere, 5e-5 radii, seen at a
     # tangent: 2 √(2 · 5e-5) radii at most.
-    assert float(np.max(dark)) * float(full.width_unit) <= 2 * np.sqrt(2 * 5e-5) * 6371
+    assert float(np.max(np.asarray(dark))) * float(full.width_unit) <= 2 * np.sqrt(2 * 5e-5) * 6371
 
 
 def test_image_is_the_right_way_up() -> None:
@@ -58,16 +61,22 @@ def test_image_is_the_right_way_up() -> None:
 
 
 @pytest.mark.parametrize("source", render_gl.SOURCES)
-def test_layers_and_image_come_of_one_drawing(source: str, monkeypatch) -> None:
+def test_layers_and_image_come_of_one_drawing(
+    source: render_gl.Source, monkeypatch: pytest.MonkeyPatch
+) -> None:
     case, look = SCENES["odd size"], Look(2.0, 0.5, (0.5, 1, 1.5), 0.1)
     layers, image = (
         render_gl.render(case, source=source),
         render_gl.render_image(case, look, source=source),
     )
-    drawn, original = [], render_gl._render.draw
-    monkeypatch.setattr(
-        render_gl._render, "draw", lambda *given: drawn.append(given) or original(*given)
-    )
+    drawn: list[tuple[Any, ...]] = []
+    original = render_gl._render.draw
+
+    def draw(*given: Any) -> Any:
+        drawn.append(given)
+        return original(*given)
+
+    monkeypatch.setattr(render_gl._render, "draw", draw)
     both = render_gl.render_layers_and_image(case, look, source=source)
     assert len(drawn) == 1
     assert eqx.tree_equal(both[0], layers)
@@ -127,7 +136,7 @@ def test_relief_and_albedo_are_drawn(data_dir: Path) -> None:
     bare = render_gl.render(case, "linear")
     textured = render_gl.render(eqx.tree_at(lambda s: s.planet, case, planet), "linear")
     assert bare.surface is None
-    assert 0.02 < float(np.mean(textured.surface[100:140, 140:180])) < 0.5
+    assert 0.02 < float(np.mean(np.asarray(textured.surface)[100:140, 140:180])) < 0.5
     rise = (np.asarray(bare.back) - np.asarray(textured.back))[np.asarray(bare.planet) == 1]
     # 8.8 km ten times exaggerated; near the limb a slope moves the depth by more than the height.
     assert 20 < np.percentile(rise, 99) < 200
@@ -178,7 +187,7 @@ def test_several_shadows_come_back_as_they_were(tmp_path: Path) -> None:
     case = SCENES["three moons"]
     layers = render_gl.render(case, "linear")
     # Of four bodies' shadows: one passes beside the air.
-    assert np.shape(layers.shadow_front) == (3, 240, 320)
+    assert np.asarray(layers.shadow_front).shape == (3, 240, 320)
     path = tmp_path / "layers.exr"
     render_gl.write_layers(path, layers, case)
     again = render_gl.read_layers(path)
@@ -195,6 +204,7 @@ def test_several_shadows_come_back_as_they_were(tmp_path: Path) -> None:
 def test_a_moon_darkens_the_ground_and_hides_what_is_behind(data_dir: Path) -> None:
     """Sun behind the camera: a moon beside the line of sight hides no pixel of its shadow."""
     bare = scene(sun=(0.2, -0.9, 0.3), sun_radius=0.0)
+    assert bare.sun is not None
     toward = np.asarray(bare.sun.direction)
     planet = Planet(
         6371.0, albedo=str(data_dir / "textures/land_shallow_topo_2048.jpg"), triangles=20_000
@@ -234,7 +244,7 @@ def test_window_depths_of_another_renderer(tmp_path: Path) -> None:
     depth = np.asarray(exact.front, np.float64) + float(exact.reference)
     back = np.asarray(exact.back, np.float64) + float(exact.reference)
 
-    def window(z):
+    def window(z: np.ndarray) -> np.ndarray:
         return far / (far - near) * (1 - near / z)
 
     path = tmp_path / "other.exr"
@@ -285,7 +295,9 @@ def test_bodies_hide_each_other_at_any_near_plane(depth_format: str) -> None:
 
 
 @pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
-def test_large_pictures_are_drawn_in_bands(monkeypatch, depth_format) -> None:
+def test_large_pictures_are_drawn_in_bands(
+    monkeypatch: pytest.MonkeyPatch, depth_format: render_gl.DepthFormat
+) -> None:
     """The same picture, up to how a driver rounds triangles that it clips at a band's border.
 
     That moves a depth by a few ulp, at a tangent by its square root; a row in the wrong place or a

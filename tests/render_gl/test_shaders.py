@@ -58,7 +58,7 @@ def test_every_function_has_a_twin_or_an_exemption(name: str) -> None:
         if twin is None:
             assert function in EXEMPT, f"{name}: {function} has neither a JAX twin nor an exemption"
         else:
-            assert f"`{function}` in `{name}`" in twin.__doc__
+            assert f"`{function}` in `{name}`" in (twin.__doc__ or "")
 
 
 def test_exemptions_name_existing_functions() -> None:

@@ -5,7 +5,9 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,29 +31,37 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def here(drawn: Path, tmp_path: Path, monkeypatch) -> Path:
+def here(drawn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder to work in, with a scene and its photo."""
     shutil.copytree(drawn, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def test_render_writes_layers_and_picture_in_one_file(here: Path, monkeypatch) -> None:
-    drawn, original = [], render_gl._render.draw
-    monkeypatch.setattr(
-        render_gl._render, "draw", lambda *given: drawn.append(given) or original(*given)
-    )
+def test_render_writes_layers_and_picture_in_one_file(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[tuple[Any, ...]] = []
+    original = render_gl._render.draw
+
+    def draw(*given: Any) -> Any:
+        drawn.append(given)
+        return original(*given)
+
+    monkeypatch.setattr(render_gl._render, "draw", draw)
     assert airlight("render", "scene.toml", "-o", "out.exr", "--size", "81x61") == 0
     assert len(drawn) == 1, "one drawing has both"
     channels, header = render_gl.read_channels("out.exr")
     assert {"front.Z", "back.Z", "shadow_front.Z", "shadow_back.Z", *"RGBA"} <= set(channels)
     assert channels["R"].shape == (61, 81)
     assert header["airlight.near"] == 12000.0
-    assert len(header["airlight.scene_hash"]) == 64
+    assert len(str(header["airlight.scene_hash"])) == 64
 
 
 @pytest.mark.parametrize("source", ["raster", "mesh", "analytic"])
-def test_fit_recovers_the_rendered_look_and_writes_everything(here, source, capsys) -> None:
+def test_fit_recovers_the_rendered_look_and_writes_everything(
+    here: Path, source: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert airlight("fit", "scene.toml", "photo.png", "-o", "out", "--source", source) == 0
     document = json.loads(Path("out/fit.json").read_text())
     assert document["schema"] == 2
@@ -80,7 +90,7 @@ def test_fit_from_somebodys_layers(here: Path) -> None:
     assert document["parameters"]["shadow"]["value"] == pytest.approx(0.2, abs=0.002)
 
 
-def test_several_photos_share_a_look(here: Path, capsys) -> None:
+def test_several_photos_share_a_look(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The second is darker by half, on a scene with other clip planes, seen from elsewhere."""
     far = SCENE.replace("far = 30000.0", "far = 36000.0").replace(
         "0.0, -20000.0", "9000.0, -18000.0"
@@ -118,6 +128,7 @@ def test_several_photos_share_a_look(here: Path, capsys) -> None:
 
 
 def test_options_reach_the_fit(here: Path) -> None:
+    words: tuple[str, ...]
     words = ("--free", "brightness,shadow", "--start", "tint.r=1.1", "--start", "tint.b=0.9")
     words += ("--bounds", "shadow=0.1:", "--prior", "brightness=3:0.5", "--loss", "huber")
     words += ("--solver", "dogleg", "--max-steps", "99")
@@ -163,7 +174,9 @@ def test_influence_is_the_derivative_of_the_shadow_weight(here: Path) -> None:
     assert abs(changes["tint.g"] - told) > 0.5 * abs(told)
 
 
-def test_json_is_one_document_on_standard_output(here: Path, capsys) -> None:
+def test_json_is_one_document_on_standard_output(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert airlight("fit", "scene.toml", "photo.png", "-o", "out", "--json") == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == "converged"
     assert airlight("check", "scene.toml", "--json") == 0
@@ -173,7 +186,9 @@ def test_json_is_one_document_on_standard_output(here: Path, capsys) -> None:
 
 
 @pytest.mark.parametrize("depth", render_gl.DEPTH_FORMATS)
-def test_check_prints_and_writes_three_pictures(here: Path, capsys, depth: str) -> None:
+def test_check_prints_and_writes_three_pictures(
+    here: Path, capsys: pytest.CaptureFixture[str], depth: str
+) -> None:
     assert airlight("check", "scene.toml", "--depth", depth) == 0
     printed = capsys.readouterr().out
     for word in ("pass", "in ulp", "relative to image max", "bound", "worst pixel"):
@@ -182,7 +197,7 @@ def test_check_prints_and_writes_three_pictures(here: Path, capsys, depth: str) 
     assert found == {"glsl.exr", "jax.exr", "difference.exr"}
 
 
-def test_check_of_nothing_is_no_pass(here: Path, capsys) -> None:
+def test_check_of_nothing_is_no_pass(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A camera that looks away sees no air: nothing was compared, and the check says so."""
     away = SCENE.replace("target = [0.0, 0.0, 0.0]", "target = [0.0, -40000.0, 6000.0]")
     Path("away.toml").write_text(away)
@@ -193,13 +208,13 @@ def test_check_of_nothing_is_no_pass(here: Path, capsys) -> None:
 
 @pytest.mark.parametrize("source", ["raster", pytest.param("mesh", marks=pytest.mark.full)])
 @pytest.mark.parametrize("name", ["sz_640x480", "sz_333x217", "reference_1024", "near_plane_bound"])
-def test_check_passes_where_it_failed(name: str, source: str, here, data_dir: Path) -> None:
+def test_check_passes_where_it_failed(name: str, source: str, here: Path, data_dir: Path) -> None:
     """A shadow's back without its front at three sizes; 1 ulp at the near plane."""
     scene = str(data_dir / "cases" / f"{name}.toml")
     assert airlight("check", scene, "--source", source, "-o", "checked") == 0
 
 
-def test_check_fails_with_exit_code_1(here: Path, monkeypatch) -> None:
+def test_check_fails_with_exit_code_1(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from render_gl import _parity
 
     monkeypatch.setattr(_parity, "ROUNDINGS", 0)
@@ -212,7 +227,9 @@ def test_other_photo_sizes_of_the_same_shape_are_drawn_at_the_photos_size(here: 
     assert json.loads(Path("out/fit.json").read_text())["pixels"]["total"] == 80 * 60
 
 
-def test_sun_behind_the_camera_leaves_the_shadow_out_and_does_not_spoil_the_verdict(here) -> None:
+def test_sun_behind_the_camera_leaves_the_shadow_out_and_does_not_spoil_the_verdict(
+    here: Path,
+) -> None:
     text = SCENE.replace("[1.0, -0.3, 0.2]", "[0.0, -20000.0, 6000.0]")
     Path("front.toml").write_text(text)
     assert airlight("render", "front.toml", "-o", "front.png") == 0
@@ -242,7 +259,7 @@ def test_a_grey_exr_is_a_photo(here: Path) -> None:
     assert airlight("fit", "scene.toml", "grey.exr", "-o", "out") == 0
 
 
-def test_swapped_layers_are_named(here: Path, capsys) -> None:
+def test_swapped_layers_are_named(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert airlight("render", "scene.toml", "-o", "layers.exr") == 0
     channels, _ = render_gl.read_channels("layers.exr")
     swapped = {"front.Z": channels["back.Z"], "back.Z": channels["front.Z"]}
@@ -254,7 +271,7 @@ def test_swapped_layers_are_named(here: Path, capsys) -> None:
 # --- bad input: one line, a remedy, exit code 2, nothing lost ----------------------------------
 
 
-def refused(capsys, *words: str) -> str:
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     """The one line on standard error of a refused command."""
     capsys.readouterr()
     assert airlight(*words) == 2
@@ -271,7 +288,7 @@ def spoil_text(path: Path) -> str:
     return "text.jpg"
 
 
-def spoil_truncated(suffix: str):
+def spoil_truncated(suffix: str) -> Callable[[Path], str]:
     def make(path: Path) -> str:
         name = f"cut.{suffix}"
         if suffix == "exr":
@@ -295,7 +312,7 @@ def spoil_shape(path: Path) -> str:
     return "square.png"
 
 
-PHOTOS = {
+PHOTOS: dict[str, Callable[[Path], str]] = {
     "missing": lambda path: "nowhere.png",
     "folder": lambda path: ".",
     "text named jpg": spoil_text,
@@ -308,14 +325,18 @@ PHOTOS = {
 
 
 @pytest.mark.parametrize("spoil", PHOTOS.values(), ids=PHOTOS.keys())
-def test_bad_photos_are_refused(here: Path, capsys, spoil) -> None:
+def test_bad_photos_are_refused(
+    here: Path, capsys: pytest.CaptureFixture[str], spoil: Callable[[Path], str]
+) -> None:
     name = spoil(here / "photo.png")
     line = refused(capsys, "fit", "scene.toml", name, "-o", "out")
     assert name in line
     assert not list(Path("out").glob("*"))
 
 
-def test_earlier_results_survive_a_refused_fit(here: Path, capsys) -> None:
+def test_earlier_results_survive_a_refused_fit(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert airlight("fit", "scene.toml", "photo.png", "-o", "out") == 0
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
     refused(capsys, "fit", "scene.toml", "nowhere.png", "-o", "out")
@@ -373,8 +394,13 @@ SLIPS = {
 
 
 @pytest.mark.parametrize("words", SLIPS.values(), ids=SLIPS.keys())
-def test_slips_are_found_out_before_any_work(here: Path, capsys, monkeypatch, words) -> None:
-    def work(*args, **options):
+def test_slips_are_found_out_before_any_work(
+    here: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+) -> None:
+    def work(*args: object, **options: object) -> None:
         raise AssertionError("work was begun")
 
     monkeypatch.setattr(_job, "load_photo", work)
@@ -383,18 +409,24 @@ def test_slips_are_found_out_before_any_work(here: Path, capsys, monkeypatch, wo
 
 
 @pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS.keys())
-def test_bad_commands_are_refused_in_one_line(here: Path, capsys, words) -> None:
+def test_bad_commands_are_refused_in_one_line(
+    here: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
     refused(capsys, *words)
 
 
-def test_unwritable_folder(here: Path, capsys, monkeypatch) -> None:
+def test_unwritable_folder(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Root may write anywhere, so the folder is one in which nobody can: /proc."""
     line = refused(capsys, "fit", "scene.toml", "photo.png", "-o", "/proc/airlight")
     assert "/proc/airlight" in line
 
 
-def test_no_driver(here: Path, capsys, monkeypatch) -> None:
-    def fail(scene, look, depth_format, source):
+def test_no_driver(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(scene: object, look: object, depth_format: object, source: object) -> None:
         raise DriverError("no OpenGL driver; install one, or use --source analytic")
 
     monkeypatch.setattr(render_gl._render, "draw", fail)
@@ -409,7 +441,9 @@ PICTURES = {
 
 
 @pytest.mark.parametrize(("pixels", "verdict"), PICTURES.values(), ids=PICTURES.keys())
-def test_photos_that_tell_nothing_get_a_verdict(here: Path, pixels, verdict) -> None:
+def test_photos_that_tell_nothing_get_a_verdict(
+    here: Path, pixels: np.ndarray, verdict: str
+) -> None:
     Image.fromarray(pixels).save("flat.png")
     assert airlight("fit", "scene.toml", "flat.png", "-o", "out") == 1
     document = json.loads(Path("out/fit.json").read_text())
@@ -433,7 +467,13 @@ ENDS = {
         for v, w in ENDS.items()
     ],
 )
-def test_verdicts_have_exit_codes(here: Path, capsys, monkeypatch, verdict, words) -> None:
+def test_verdicts_have_exit_codes(
+    here: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    verdict: str,
+    words: tuple[str, ...],
+) -> None:
     """0 with a line of warning at a bound, else 1; the results are written all the same."""
     if verdict == "not_converged":  # the exact steps at the end save every descent that is known
         monkeypatch.setattr(_polish, "_FINISHES", 0)
@@ -493,11 +533,13 @@ def test_console_script_is_installed() -> None:
 @pytest.mark.parametrize(
     "words", [("fit", "--frobnicate"), ("fit", "a", "b"), ("paint",), ("check",)]
 )
-def test_usage_errors_are_one_line_that_points_at_the_help(capsys, words) -> None:
+def test_usage_errors_are_one_line_that_points_at_the_help(
+    capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
     assert "--help" in refused(capsys, *words)
 
 
-def test_without_arguments_the_help_is_shown(capsys) -> None:
+def test_without_arguments_the_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     assert airlight() == 0
     assert "Commands" in capsys.readouterr().out
 
@@ -505,8 +547,9 @@ def test_without_arguments_the_help_is_shown(capsys) -> None:
 def test_the_command_line_leaves_jax_as_it_was(here: Path) -> None:
     import jax
 
+    configuration: Any = jax.config  # its type does not list its settings
     assert airlight("fit", "scene.toml", "photo.png", "-o", "out") == 0
-    assert not jax.config.jax_enable_x64
+    assert not configuration.jax_enable_x64
 
 
 def test_a_camera_that_looks_away_is_told(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

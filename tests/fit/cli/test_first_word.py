@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import jax
 import pytest
@@ -204,7 +205,7 @@ def counted(folder: Path, *words: object, **variables: str) -> tuple[int, int]:
     """Runs a command; returns how many programs it asked for, and how many had been kept."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
     done = subprocess.run(
-        [sys.executable, "-c", COUNTED, *words],
+        [sys.executable, "-c", COUNTED, *map(str, words)],
         capture_output=True,
         text=True,
         check=False,
@@ -265,10 +266,11 @@ def test_a_user_without_a_home_is_no_error(monkeypatch: pytest.MonkeyPatch) -> N
         raise RuntimeError("could not determine the home directory")
 
     monkeypatch.setattr("platformdirs.user_cache_path", nowhere)
-    kept = jax.config.jax_compilation_cache_dir
+    configuration: Any = jax.config  # its type does not list its settings
+    kept = configuration.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
     try:
         keep_programs()
-        assert jax.config.jax_compilation_cache_dir is None
+        assert configuration.jax_compilation_cache_dir is None
     finally:
         jax.config.update("jax_compilation_cache_dir", kept)

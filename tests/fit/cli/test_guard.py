@@ -132,28 +132,29 @@ def test_names_that_are_no_text(here: Path, capfd: pytest.CaptureFixture[str]) -
     assert sorted(os.listdir("out"))[0] == "fit.json"
     assert r"p\\xff.png" in Path("out/fit.json").read_text()
     assert r"p\xff.png" in Path("out/report.html").read_text()
-    for words, line in (
+    refusals: list[tuple[list[str | bytes], str]] = [
         (["fit", b"s\xff.toml", b"p\xff.png", "-o", b"o\xff"], r"o\xff: is no UTF-8 text"),
         (["render", b"s\xff.toml", "-o", b"r\xff.exr"], r"r\xff.exr: is no UTF-8 text"),
         (["fit", b"s\xff.toml", b"p\xff.png", "-o", ""], "-o: is empty; name a folder"),
         (["check", b"s\xff.toml", "-o", ""], "-o: is empty; name a folder"),
         (["render", b"s\xff.toml", "-o", ""], "-o: is empty; name a file"),
         (["export", "out/fit.json", "--to", "csv", "-o", ""], "write is empty; name one"),
-    ):
-        code, said = inside(capfd, *words)
+    ]
+    for refused, line in refusals:
+        code, said = inside(capfd, *refused)
         assert code == 2
         assert line in said
         assert said.count("\n") == 1
 
 
 def test_output_that_cannot_be_written(here: Path) -> None:
-    command = [Path(sys.executable).parent / "airlight", "version"]
+    command: list[str | Path] = [Path(sys.executable).parent / "airlight", "version"]
     with open("/dev/full", "w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr == "airlight: the disk is full (standard output); free some space\n"
-    done = alone("version", PYTHONIOENCODING="ascii")
-    assert (done.returncode, done.stderr) == (0, b"")
+    plain = alone("version", PYTHONIOENCODING="ascii")
+    assert (plain.returncode, plain.stderr) == (0, b"")
 
 
 def test_what_a_mask_holds_is_not_told(here: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -303,9 +303,9 @@ def spoil(path: Path, place: int, length: int, content: bytes) -> None:
 @examples(5)
 @given(how=spoilt())
 def test_any_photo(files: Path, how: tuple[str, int, int, bytes]) -> None:
-    name, *rest = how
+    name, place, length, content = how
     with copied(files) as folder:
-        spoil(folder / name, *rest)
+        spoil(folder / name, place, length, content)
         words = ("photo.png", "--mask", name) if name == "mask.png" else (name,)
         check("fit", "scene.toml", *words, "-o", "out", "--source", "analytic")
 

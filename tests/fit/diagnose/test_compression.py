@@ -18,7 +18,7 @@ from fit.solve._parameters import free_directions, to_entries
 from fit.solve._problem import Point
 from model_jax import Exposure, InputError, Layers, Look, Response
 from model_jax._tone import Srgb
-from tests.fit.looks import START, picture
+from tests.fit.looks import START, evidence_of, picture
 
 SIZE = (50, 70)  # no multiple of a block
 
@@ -146,7 +146,7 @@ def test_a_shift_beyond_a_bound_takes_what_follows_along(layers64: Layers) -> No
     )
     free = [p for p in parameters if p.role == "free"]
     vector, (along, _) = to_entries(parameters), free_directions(free, parameters)
-    problem = fit(picture(layers64, START), layers64, START).evidence.problem  # any
+    problem = evidence_of(fit(picture(layers64, START), layers64, START)).problem  # any
     covariance = np.diag([0.1, 0.2, 0.3]) + 0.05
     shift = np.linalg.lstsq(along, 0.3 * np.eye(len(vector))[0], rcond=None)[0]
     shift += np.linalg.lstsq(along[4:7], np.array([-0.4, 0.3, 0.1]), rcond=None)[0]
@@ -233,7 +233,7 @@ def test_other_fits(options: dict[str, Any], layers64: Layers, tmp_path: Path) -
         assert abs(shadow.value - 0.3) < 4 * 0.001
     brightness = result.parameters["brightness"]
     assert brightness.stderr is not None
-    assert abs(brightness.value - LOOK.brightness) < 4 * brightness.stderr
+    assert abs(brightness.value - float(LOOK.brightness)) < 4 * brightness.stderr
 
 
 @pytest.mark.parametrize("bound", [0.79, 0.81])
@@ -337,7 +337,7 @@ def test_files_that_cannot_be_made_alike(
     error is 0."""
     path = tmp_path / "a.jpg"
     shot(layers64, tmp_path, "a.png")
-    picture = Image.open(tmp_path / "a.png")
+    picture: Image.Image = Image.open(tmp_path / "a.png")
     for quality in qualities:
         picture.save(path, quality=quality)
         picture = Image.open(path).convert("RGB")
@@ -355,7 +355,7 @@ def test_a_second_compression_that_changes_nothing_is_none(
     """By the same steps, or by coarser ones: the last ones say what was lost."""
     shot(layers64, tmp_path, "a.png")
     for qualities in ((85, 85), (92, 70)):
-        picture = Image.open(tmp_path / "a.png")
+        picture: Image.Image = Image.open(tmp_path / "a.png")
         for quality in qualities:
             picture.save(tmp_path / "a.jpg", quality=quality)
             picture = Image.open(tmp_path / "a.jpg").convert("RGB")

@@ -42,11 +42,15 @@ def test_rasterised_layers_bias_by_less_than_the_noise(size: tuple[int, int]) ->
     clean = fit(light, layers, Look(), free=FREE).parameters
     truth = {"brightness": 2.0, "shadow": 0.3, "background": 0.02}
     for name, value in truth.items():
-        assert abs(clean[name].value - value) < 0.05 * errors[name].stderr, name
+        stderr = errors[name].stderr
+        assert stderr is not None
+        assert abs(clean[name].value - value) < 0.05 * stderr, name
     if size == SIZES[-1]:
         mesh = fit(light, render_gl.render(case, "linear", "mesh"), Look(), free=FREE)
         off = abs(mesh.parameters["brightness"].value - 2.0)
-        assert off > 5 * errors["brightness"].stderr
+        stderr = errors["brightness"].stderr
+        assert stderr is not None
+        assert off > 5 * stderr
 
 
 def test_a_mesh_in_the_layers_is_named() -> None:
@@ -60,7 +64,9 @@ def test_a_mesh_in_the_layers_is_named() -> None:
     assert not any("mesh" in warning for warning in exact.warnings)
     drawn = fit(noisy, render_gl.render(case, "linear", "mesh"), Look(), free=FREE)
     shift = abs(drawn.parameters["brightness"].value - exact.parameters["brightness"].value)
-    assert shift < drawn.parameters["brightness"].layer_error < 3 * shift
+    told = drawn.parameters["brightness"].layer_error
+    assert told is not None
+    assert shift < told < 3 * shift
     assert any("--source raster" in warning for warning in drawn.warnings)
 
 
@@ -84,7 +90,9 @@ def test_relief_is_named_where_its_mesh_is_coarse(tmp_path: Path) -> None:
         light = np.asarray(composite(layers, TRUTH))[..., :3]
         noisy = light + np.random.default_rng(1).normal(scale=NOISE, size=light.shape)
         result = fit(noisy, layers, Look(), free=FREE)
-        errors[triangles] = result.parameters["brightness"].layer_error
+        told = result.parameters["brightness"].layer_error
+        assert told is not None
+        errors[triangles] = told
         named = any("mesh" in warning for warning in result.warnings)
         assert named == (triangles == 1_000), (triangles, result.warnings)
     assert 0 < errors[800_000] < 0.1 * errors[1_000]
@@ -116,7 +124,9 @@ def test_intervals_cover_the_truth_over_layers_of(source: str) -> None:
         truth = {"brightness": look.brightness, "shadow": look.shadow, "background": 0.02}
         truth |= {f"tint.{c}": 1.0 for c in "rgb"}
         for name, value in truth.items():
-            low, high = result.parameters[name].interval
+            interval = result.parameters[name].interval
+            assert interval is not None
+            low, high = interval
             covered.setdefault(name, []).append(bool(low <= value <= high))
     shares = {name: float(np.mean(held)) for name, held in covered.items()}
     print(source, shares)

@@ -261,7 +261,7 @@ def test_a_large_photo_is_looked_at_in_part() -> None:
     layers = analytic_layers(large)
     light = np.asarray(composite(layers, TRUTH))[..., :3].astype(np.float64)
     row, column = np.indices(light.shape[:2])
-    away = ((column - 399.5) ** 2 + (row - 299.5) ** 2)[..., None] / 500**2
+    away = np.asarray((column - 399.5) ** 2 + (row - 299.5) ** 2)[..., None] / 500**2
     rng = np.random.default_rng(5)
     noise = rng.normal(scale=0.01, size=light.shape)
     clean, dark = fit(light + noise, layers), fit(light * (1 - 0.05 * away) + noise, layers)

@@ -3,8 +3,10 @@
 import re
 import struct
 import zlib
+from functools import partial
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,7 +158,7 @@ def test_jpeg(tmp_path: Path) -> None:
     path = tmp_path / "a.jpg"
     grey = Image.fromarray(np.full((16, 16, 3), 128, np.uint8))
 
-    def light(**more: object) -> tuple[float, tuple[str, ...]]:
+    def light(**more: Any) -> tuple[float, tuple[str, ...]]:
         grey.save(path, quality=95, **more)
         photo = load_photo(path)
         return float(photo.linear[8, 8, 1]), photo.remarks
@@ -199,7 +201,7 @@ def test_grey_jpeg(tmp_path: Path) -> None:
 def test_tiff(kind: type, tmp_path: Path) -> None:
     path = tmp_path / "a.tif"
     top = 1 if kind is np.float32 else np.iinfo(kind).max
-    pixels = np.repeat((STORED[..., None] * top).astype(kind), 3, axis=-1)
+    pixels: np.ndarray = np.repeat((STORED[..., None] * top).astype(kind), 3, axis=-1)
     tifffile.imwrite(path, pixels, photometric="rgb", iccprofile=icc(para(0, 1.8)))
     photo = load_photo(path)
     np.testing.assert_allclose(photo.linear[..., 1], LIGHT["1.8"], atol=1e-4)
@@ -232,11 +234,15 @@ def test_a_tone_curve_that_is_asked_for_overrides_and_says_so(tmp_path: Path) ->
 
 def test_mutilated_profiles_never_raise(rng: np.random.Generator) -> None:
     whole = icc(SRGB_PARA)
+
+    def cut(some: bytearray) -> bytes:
+        return bytes(some[: rng.integers(len(whole) // 2, len(whole) + 1)])
+
     for _ in range(500):
         some = bytearray(whole)
         for place in rng.integers(0, len(some), 4):
             some[place] = rng.integers(256)
-        of_icc(lambda some=some: bytes(some[: rng.integers(len(whole) // 2, len(whole) + 1)]))
+        of_icc(partial(cut, some))
     bomb = b"x\0\0" + zlib.compress(bytes(2**26))
     assert of_png(b"\x89PNG\r\n\x1a\n" + chunk(b"iCCP", bomb)).remarks
 
@@ -280,7 +286,9 @@ def test_pngs_that_say_how_light_is_coded(name: str, data_dir: Path) -> None:
     result = fit(load_photo(cases / name), layers, Look(tint=(1.0, 1.0, 1.0)))
     assert result.verdict == "converged"
     for parameter, truth in (("brightness", 2.0), ("shadow", 0.3)):
-        low, high = result.parameters[parameter].interval
+        interval = result.parameters[parameter].interval
+        assert interval is not None
+        low, high = interval
         assert low <= truth <= high, (parameter, low, high)
 
 

@@ -130,8 +130,11 @@ def test_a_grey_photo_beside_one_in_colour(blue: Layers) -> None:
         e = result.parameters[name]
         assert e.stderr is not None
         assert abs(e.value - value) < 4 * e.stderr, name
-    assert result.parameters["brightness"].stderr / 0.9 < 0.01  # type: ignore[operator]
-    assert result.parameters["exposure.2"].stderr / 0.7 > 0.03  # type: ignore[operator]
+    brightness, exposure = (result.parameters[n].stderr for n in ("brightness", "exposure.2"))
+    assert brightness is not None
+    assert exposure is not None
+    assert brightness / 0.9 < 0.01
+    assert exposure / 0.7 > 0.03
 
 
 def test_channels_are_alike_by_chance() -> None:
@@ -142,7 +145,9 @@ def test_channels_are_alike_by_chance() -> None:
     assert _mix(np.ones((4, 3)), np.ones((4, 3), np.int8)) is None
     light = np.random.default_rng(0).uniform(size=(4, 1)) * np.array([1.0, 1.0, 2.0])
     assert _mix(light, None) is None
-    np.testing.assert_allclose(_mix(light[:, [0, 0, 0]], None), np.tile(LUMINANCE, (3, 1)))
+    mix = _mix(light[:, [0, 0, 0]], None)
+    assert mix is not None
+    np.testing.assert_allclose(mix, np.tile(LUMINANCE, (3, 1)))
 
 
 def test_the_residual_is_of_the_grey_picture(tmp_path: Path) -> None:

@@ -131,7 +131,7 @@ class TestFormats:
     def test_float_photo_with_a_curve(self, tmp_path: Path) -> None:
         light = np.array([[0.0, 0.3, 2.0]])
         curve = Exposure(exposure=1.5, gamma=2.2)
-        plane = np.append(curve.encode(light), [[1.0, np.nan]], axis=1)
+        plane = np.append(np.asarray(curve.encode(light)), [[1.0, np.nan]], axis=1)
         write_channels(tmp_path / "a.exr", dict.fromkeys("RGB", plane), {})
         photo = load_photo(tmp_path / "a.exr", tone_curve={"exposure": 1.5, "gamma": 2.2})
         # the stored 0.97 in float32, 1 - code**gamma = 0.05 of it: 2^-24 · 2.2 / 0.05 / 3
@@ -194,6 +194,7 @@ class TestQuantisation:
         photo = load_photo(tmp_path / "a.png", tone_curve="linear")
         half = 0.5 / np.iinfo(dtype).max
         # the difference of two numbers near 1 in float64, as float32
+        assert photo.quantisation is not None
         np.testing.assert_allclose(photo.quantisation, half, rtol=2e-7)
 
     def test_srgb_step_is_the_difference_of_the_edges(self, tmp_path: Path) -> None:
@@ -211,6 +212,7 @@ class TestQuantisation:
         photo = load_photo(tmp_path / "a.png", tone_curve=Exposure(exposure=2.0, gamma=1.0))
         assert photo.valid.all()
         assert np.isfinite(photo.linear).all()
+        assert photo.quantisation is not None
         assert np.isfinite(photo.quantisation).all()
         expected = -np.log(np.array([1.0, 1 / top, 0.5 / top])) / 2
         np.testing.assert_allclose(photo.linear[0, 0], expected, rtol=1e-6)

@@ -189,7 +189,7 @@ def test_wrong_arrays(photo: np.ndarray, message: str) -> None:
 def test_columns_hold_the_contract_widths(dtype: type) -> None:
     """The widths of `layer_widths`, exact here in float32, as float64; light as it is, if not half
     floats."""
-    light = np.random.default_rng(0).uniform(size=(*SIZE, 3)).astype(dtype)
+    light: np.ndarray = np.random.default_rng(0).uniform(size=(*SIZE, 3)).astype(dtype)
     layers = slab()
     found, scaled = columns_of(light, layers), columns_of(light, layers, 4.0)
     used = choose_pixels(light, layers, "point").used
@@ -197,7 +197,7 @@ def test_columns_hold_the_contract_widths(dtype: type) -> None:
     assert found.dark is not None
     assert scaled.dark is not None
     assert found.lit.dtype == found.dark.dtype == np.float64
-    assert found.light.dtype == max(np.dtype(dtype), np.float32)
+    assert found.light.dtype == max(np.dtype(dtype), np.dtype(np.float32))
     np.testing.assert_array_equal(found.index, np.flatnonzero(used))
     np.testing.assert_array_equal(found.lit, np.asarray(lit)[used])
     np.testing.assert_array_equal(found.dark, np.asarray(dark)[used])
@@ -215,6 +215,8 @@ def test_lengths_along_rays_are_stretched_widths() -> None:
     plain, found = columns_of(light, slab()), columns_of(light, longer)
     factor = stretch.reshape(-1)[found.index].astype(np.float64)
     np.testing.assert_allclose(found.lit, plain.lit * factor, rtol=1e-15)
+    assert found.dark is not None
+    assert plain.dark is not None
     np.testing.assert_allclose(found.dark, plain.dark * factor, rtol=1e-15)
     assert found.width_error == plain.width_error * np.max(factor)
     broken = np.where(stretch == stretch.max(), np.nan, stretch)

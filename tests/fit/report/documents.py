@@ -87,7 +87,7 @@ def document(**changes: Any) -> dict[str, Any]:
     } | changes
 
 
-NOTHING = {
+NOTHING: dict[str, Any] = {
     "errors": None,
     "correlation": {"names": [], "matrix": []},
     "residual_rms": None,

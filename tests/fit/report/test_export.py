@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import moderngl
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -26,7 +27,7 @@ from fit import fit
 from fit.report._export import Format, export_text, float_literal
 from fit.report._fitted import read_fit
 from model_jax import PARAMETERS, InputError, Look, Scene, combine, composite, layer_widths
-from render_gl import _shaders
+from render_gl import DepthFormat, _shaders
 from render_gl._context import on_gl
 from render_gl._draw import draw
 from render_gl._parity import EPS, Parity, compare, measure_division
@@ -65,8 +66,11 @@ def document_of(look: Look, width_unit: float | None = None, **changes: Any) -> 
     return made | unit | {"parameters": parameters} | changes
 
 
+Writer = Callable[[dict[str, Any]], Path]
+
+
 @pytest.fixture
-def written(tmp_path: Path) -> Callable[[dict[str, Any]], Path]:
+def written(tmp_path: Path) -> Writer:
     """Writes a document as fit.json; returns its path."""
 
     def write(document: dict[str, Any]) -> Path:
@@ -91,7 +95,9 @@ def pasted(shader: str, lines: str) -> str:
     return lines + kept
 
 
-def drawn(case: Scene, lines: str, look: Look, depth_format: str, monkeypatch: Any) -> Parity:
+def drawn(
+    case: Scene, lines: str, look: Look, depth_format: DepthFormat, monkeypatch: pytest.MonkeyPatch
+) -> Parity:
     """The exported shader's picture against JAX's of `look`, with what rounding explains."""
     original = _shaders._read
 
@@ -124,7 +130,11 @@ def drawn(case: Scene, lines: str, look: Look, depth_format: str, monkeypatch: A
 @pytest.mark.parametrize("sun", [True, False], ids=["sun", "no sun"])
 @pytest.mark.parametrize("with_unit", [True, False], ids=["width_unit constant", "uniform"])
 def test_exported_shader_draws_the_looks_picture(
-    written, monkeypatch, depth_format: str, sun: bool, with_unit: bool
+    written: Writer,
+    monkeypatch: pytest.MonkeyPatch,
+    depth_format: DepthFormat,
+    sun: bool,
+    with_unit: bool,
 ) -> None:
     case = scene(unit=6371.0, sun=sun)
     unit = float(case.camera.far - case.camera.near) if with_unit else None
@@ -134,7 +144,9 @@ def test_exported_shader_draws_the_looks_picture(
     assert np.max(parity.glsl) > 0.1  # comparing black with black would be no test
 
 
-def test_exported_shader_draws_the_fits_picture(written, monkeypatch) -> None:
+def test_exported_shader_draws_the_fits_picture(
+    written: Writer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     case = scene()
     layers = render_gl.render(case, "linear")
     found = fit(picture(layers, TRUTH), layers, START)
@@ -149,7 +161,7 @@ def test_exported_shader_draws_the_fits_picture(written, monkeypatch) -> None:
 )
 @pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
 def test_fault_one_constant_off_by_half_a_percent_is_found(
-    written, monkeypatch, constant: str, depth_format: str
+    written: Writer, monkeypatch: pytest.MonkeyPatch, constant: str, depth_format: DepthFormat
 ) -> None:
     case = scene()
     lines = export_text(read_fit(written(document_of(ODD, 5.5))), Format.glsl)
@@ -221,7 +233,7 @@ def test_the_driver_reads_literals_as_the_same_float32(rng: np.random.Generator)
         out float value;
         void main() {{ value = values[int(gl_FragCoord.x)]; }}"""
 
-    def draw(context) -> bytes:
+    def draw(context: moderngl.Context) -> bytes:
         shader = context.program(vertex_shader=vertex, fragment_shader=fragment)
         texture = context.texture((len(values), 1), 1, dtype="f4")
         context.framebuffer([texture]).use()
@@ -243,7 +255,9 @@ LOOKS = {
 
 
 @pytest.mark.parametrize("look", LOOKS.values(), ids=LOOKS.keys())
-def test_toml_is_a_look_that_scenes_load_bit_for_bit(written, tmp_path: Path, look: Look) -> None:
+def test_toml_is_a_look_that_scenes_load_bit_for_bit(
+    written: Writer, tmp_path: Path, look: Look
+) -> None:
     document = document_of(look, 5.5, photos=[{"photo": 'odd "name"\n\x7f é.png'}])
     document["parameters"]["exposure"] = entry(1.5)
     text = export_text(read_fit(written(document)), Format.toml)
@@ -257,7 +271,7 @@ def test_toml_is_a_look_that_scenes_load_bit_for_bit(written, tmp_path: Path, lo
         assert mine.tobytes() == theirs.tobytes()
 
 
-def test_json_is_flat_and_ordered(written) -> None:
+def test_json_is_flat_and_ordered(written: Writer) -> None:
     document = document_of(ODD, 5.5, brightness_per_length=0.5)
     shuffled = dict(reversed(document["parameters"].items()))
     text = export_text(read_fit(written(document)), Format.json)
@@ -271,7 +285,7 @@ def test_json_is_flat_and_ordered(written) -> None:
     assert list(flat)[:3] == ["verdict", "brightness", "brightness.stderr"]
 
 
-def test_csv_has_a_row_for_each_number(written) -> None:
+def test_csv_has_a_row_for_each_number(written: Writer) -> None:
     document = document_of(ODD, 5.5)
     document["parameters"]["gamma.2"] = entry(1.0, stderr=None, free=False, role="fixed")
     rows = list(csv.DictReader(io.StringIO(export_text(read_fit(written(document)), Format.csv))))
@@ -296,7 +310,7 @@ MORE = {
 
 
 @pytest.mark.parametrize("to", list(Format))
-def test_no_parameter_is_lost(written, to: Format) -> None:
+def test_no_parameter_is_lost(written: Writer, to: Format) -> None:
     document = document_of(Look())
     document["parameters"] |= MORE
     text = export_text(read_fit(written(document)), to)
@@ -305,7 +319,9 @@ def test_no_parameter_is_lost(written, to: Format) -> None:
     text.encode("ascii")
 
 
-def test_response_constants_are_marked_and_named_by_photo(written, monkeypatch) -> None:
+def test_response_constants_are_marked_and_named_by_photo(
+    written: Writer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     document = document_of(ODD, 5.5)
     document["parameters"] |= MORE
     photos = [{"photo": "a.png", "scene": "a.toml"}, {"photo": "b.png", "scene": "b.toml"}]
@@ -320,7 +336,7 @@ def test_response_constants_are_marked_and_named_by_photo(written, monkeypatch) 
     assert drawn(scene(), text, ODD, "linear", monkeypatch).passed
 
 
-def test_glsl_says_where_numbers_come_from_and_what_they_are(written) -> None:
+def test_glsl_says_where_numbers_come_from_and_what_they_are(written: Writer) -> None:
     document = document_of(Look(), 5.5, explained=0.98765)
     document["parameters"]["brightness"] = entry(3.0, stderr=0.0123)
     document["parameters"]["background"] = entry(0.0, role="held", free=False, stderr=None)
@@ -345,7 +361,9 @@ SCENE_FACTS = {
 
 @pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
 @pytest.mark.parametrize("to", [Format.glsl, Format.glsl_uniform])
-def test_both_forms_compile_as_they_are_and_hold_the_numbers(written, to, version) -> None:
+def test_both_forms_compile_as_they_are_and_hold_the_numbers(
+    written: Writer, to: Format, version: str
+) -> None:
     """By the driver's compiler; what a fragment reads is the float32 nearest to each value."""
     document = document_of(ODD, 12950.0, brightness_per_length=1e-5, **SCENE_FACTS)
     lines = export_text(read_fit(written(document)), to)
@@ -366,16 +384,18 @@ def test_both_forms_compile_as_they_are_and_hold_the_numbers(written, to, versio
     assert (to == Format.glsl) == (not told)
     assert "=" not in re.sub("//.*", "", lines) or to == Format.glsl, "no initialisers"
 
-    def draw_one(context) -> list[np.ndarray]:
+    def draw_one(context: moderngl.Context) -> list[np.ndarray]:
         context.enable_only(0)
         shader = context.program(vertex_shader=vertex, fragment_shader=fragment)
         for name, text in told.items():
             values = [
                 float(number) for number in re.findall(r"-?[\d.]+(?:e[-+]\d+)?(?=[,)]|$)", text)
             ]
-            shape = shader[name].dimension
+            uniform = shader[name]
+            assert isinstance(uniform, moderngl.Uniform)
+            shape = uniform.dimension
             values = values * shape if len(values) == 1 else values  # vec3(x) is x three times
-            shader[name].value = values[0] if shape == 1 else tuple(values)
+            uniform.value = values[0] if shape == 1 else tuple(values)
         targets = [context.texture((1, 1), 4, dtype="f4") for _ in range(3)]
         context.framebuffer(targets).use()
         corners = context.buffer(np.array([-1, -1, 3, -1, -1, 3], np.float32).tobytes())
@@ -385,13 +405,13 @@ def test_both_forms_compile_as_they_are_and_hold_the_numbers(written, to, versio
     look, air, lengths = on_gl(draw_one)
     shadow, tint, background = (np.asarray(x) for x in (ODD.shadow, ODD.tint, ODD.background))
     wanted = [shadow[2], tint[0], background[0], ODD.brightness]
-    np.testing.assert_array_equal(look, np.float32(wanted))
-    np.testing.assert_array_equal(air, np.float32(SCENE_FACTS["color"]))
-    np.testing.assert_array_equal(lengths, np.float32([12950.0, 1e-5, 6371.0, 60.0]))
+    np.testing.assert_array_equal(look, np.array(wanted, np.float32))
+    np.testing.assert_array_equal(air, np.array(SCENE_FACTS["color"], np.float32))
+    np.testing.assert_array_equal(lengths, np.array([12950.0, 1e-5, 6371.0, 60.0], np.float32))
 
 
 @pytest.mark.parametrize("to", list(Format))
-def test_what_the_look_refers_to_is_there(written, to: Format) -> None:
+def test_what_the_look_refers_to_is_there(written: Writer, to: Format) -> None:
     document = document_of(ODD, 12950.0, **SCENE_FACTS)
     text = export_text(read_fit(written(document)), to)
     for number in ("0.175", "0.408", "0.9", "6371.0", "60.0", "12950.0"):
@@ -401,7 +421,9 @@ def test_what_the_look_refers_to_is_there(written, to: Format) -> None:
 
 
 @pytest.mark.parametrize("to", [Format.glsl, Format.glsl_uniform, Format.toml, Format.json])
-def test_warnings_of_the_fit_are_in_the_export(written, capsys, to: Format) -> None:
+def test_warnings_of_the_fit_are_in_the_export(
+    written: Writer, capsys: pytest.CaptureFixture[str], to: Format
+) -> None:
     """A background below zero went into shaders without its warning."""
     warning = "The background came out negative: the model takes light away. \a ≤ 3.1 · 10⁻⁵ \\"
     path = written(document_of(ODD, warnings=[warning, 3]))
@@ -421,7 +443,7 @@ def test_warnings_of_the_fit_are_in_the_export(written, capsys, to: Format) -> N
 
 
 @pytest.mark.parametrize("to", [Format.glsl, Format.toml, Format.json])
-def test_several_scenes_are_told_apart(written, to: Format) -> None:
+def test_several_scenes_are_told_apart(written: Writer, to: Format) -> None:
     """Of photos of several scenes the first one's colour and lengths are exported."""
     first = SCENE_FACTS | {"photo": "a.png", "scene": "a.toml", "width_unit": 5.5}
     second = first | {"photo": "b.png", "planet_radius": 6300.0}
@@ -434,7 +456,7 @@ def test_several_scenes_are_told_apart(written, to: Format) -> None:
 
 @pytest.mark.parametrize("path", ["depth", "distance"])
 def test_the_light_can_be_rebuilt_from_an_export(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys, path: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], path: str
 ) -> None:
     """From the flat JSON and the widths of the layers alone."""
     monkeypatch.chdir(tmp_path)
@@ -465,7 +487,9 @@ def test_the_light_can_be_rebuilt_from_an_export(
 
 
 @pytest.mark.parametrize("verdict", ["converged", "at_bound"])
-def test_command_prints_the_text(written, capsys, verdict: str) -> None:
+def test_command_prints_the_text(
+    written: Writer, capsys: pytest.CaptureFixture[str], verdict: str
+) -> None:
     path = written(document_of(ODD, verdict=verdict))
     assert airlight("export", path, "--to", "glsl") == 0
     told = capsys.readouterr()
@@ -475,7 +499,9 @@ def test_command_prints_the_text(written, capsys, verdict: str) -> None:
 
 
 @pytest.mark.parametrize("verdict", ["not_converged", "not_identifiable", "diverged"])
-def test_command_warns_of_another_verdict_in_one_line(written, capsys, verdict: str) -> None:
+def test_command_warns_of_another_verdict_in_one_line(
+    written: Writer, capsys: pytest.CaptureFixture[str], verdict: str
+) -> None:
     assert airlight("export", written(document_of(ODD, verdict=verdict)), "--to", "toml") == 0
     told = capsys.readouterr()
     assert told.err.startswith("airlight: warning: ")
@@ -484,7 +510,9 @@ def test_command_warns_of_another_verdict_in_one_line(written, capsys, verdict: 
     assert "[look]" in told.out
 
 
-def test_command_writes_the_file(written, tmp_path: Path, capsys) -> None:
+def test_command_writes_the_file(
+    written: Writer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = written(document_of(ODD))
     assert airlight("export", path, "--to", "json", "-o", tmp_path / "look.json") == 0
     assert (tmp_path / "look.json").read_text() == export_text(read_fit(path), Format.json)
@@ -542,7 +570,9 @@ BAD: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize(("content", "told"), BAD.values(), ids=BAD.keys())
-def test_bad_files_are_told_in_one_line(tmp_path: Path, capsys, content: str, told: str) -> None:
+def test_bad_files_are_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, told: str
+) -> None:
     path = tmp_path / "fit.json"
     path.write_text(content, encoding="utf-8", errors="surrogateescape")
     assert airlight("export", path, "--to", "glsl", "-o", tmp_path / "out.glsl") == 2
@@ -553,7 +583,9 @@ def test_bad_files_are_told_in_one_line(tmp_path: Path, capsys, content: str, to
     assert not (tmp_path / "out.glsl").exists()
 
 
-def test_bad_options_are_told_in_one_line(written, tmp_path: Path, capsys) -> None:
+def test_bad_options_are_told_in_one_line(
+    written: Writer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = written(document_of(ODD))
     before = path.read_bytes()
     for words, told in (
@@ -576,7 +608,7 @@ def test_bad_options_are_told_in_one_line(written, tmp_path: Path, capsys) -> No
     assert [p.name for p in tmp_path.iterdir()] == ["fit.json"]
 
 
-def test_values_do_not_depend_on_jax_precision(written) -> None:
+def test_values_do_not_depend_on_jax_precision(written: Writer) -> None:
     path = written(document_of(ODD, 5.5))
     with jax.enable_x64(True):
         wide = export_text(read_fit(path), Format.glsl)

@@ -67,7 +67,7 @@ def page(
 
 
 def section(photo: np.ndarray = PICTURE, **changes: Any) -> dict[str, Any]:
-    settings = {
+    settings: dict[str, Any] = {
         "name": "photo.png",
         "picture": PICTURE,
         "used": np.asarray(LAYERS.has_air),
@@ -130,7 +130,7 @@ def test_the_page_says_what_the_golden_reports_say(name: str) -> None:
 def test_what_each_pixel_meant_is_shown_and_said() -> None:
     result = fit(PICTURE, LAYERS)
     weights = np.random.default_rng(0).uniform(size=PICTURE.shape[:2])  # as of a robust fit
-    maps = {"influence": ("shadow", result.influence("shadow").sum(axis=-1))}
+    maps: dict[str, Any] = {"influence": ("shadow", result.influence("shadow").sum(axis=-1))}
     text = page(document(), **maps)
     assert "how far <b>shadow</b> moves" in text
     assert "Belief" not in text
@@ -206,7 +206,7 @@ def test_a_large_photo_makes_no_large_page() -> None:
     rng = np.random.default_rng(1)
     noise = rng.random((2400, 3200, 3)).astype(np.float32)
     used = np.ones((2400, 3200), bool)
-    maps = {"influence": ("shadow", noise[..., 0] - 0.5), "weights": noise[..., 1]}
+    maps: dict[str, Any] = {"influence": ("shadow", noise[..., 0] - 0.5), "weights": noise[..., 1]}
     text = page(document(), photo=noise, picture=noise, used=used, height=None, **maps)
     assert len(text) < 5_000_000
 
@@ -249,7 +249,9 @@ def test_an_empty_correlation_and_no_errors() -> None:
     ("value", "stderr", "text"),
     [(2.99712, 0.0123, "2.997 ± 0.012"), (-0.1545, 0.0018, "−0.1545 ± 0.0018")],
 )
-def test_values_are_written_to_two_digits_of_their_error(value, stderr, text) -> None:
+def test_values_are_written_to_two_digits_of_their_error(
+    value: float, stderr: float, text: str
+) -> None:
     assert measured(value, stderr) == text
 
 
@@ -264,7 +266,9 @@ def test_values_are_written_to_two_digits_of_their_error(value, stderr, text) ->
         (None, "—"),
     ],
 )
-def test_intervals_are_written_to_two_digits_of_half_their_width(limits, text) -> None:
+def test_intervals_are_written_to_two_digits_of_half_their_width(
+    limits: tuple[float | None, float] | None, text: str
+) -> None:
     assert span(limits) == text
 
 

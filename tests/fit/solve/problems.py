@@ -21,6 +21,7 @@ from model_jax import (
     analytic_layers,
     layer_widths,
 )
+from tests.fit.looks import evidence_of
 
 TRUTH = np.array([3.0, 0.2, 0.8, 0.9, 1.3, 0.01, 1.0])
 """Brightness, shadow, three tints, background, gamma; brightness by the widths of unit 1."""
@@ -91,7 +92,7 @@ class Dense:
         self.rounding = count * (np.finfo(np.float64).eps * np.abs(self.light).max()) ** 2
         self.scale = 1.0
         if place.case.loss != "linear":
-            loss = result.evidence.problem.model.loss
+            loss = evidence_of(result).problem.model.loss
             self.scale = float(loss.noise) * TUNING[loss.name] / place.light
 
     names = property(lambda self: NAMES[: 6 if self.linear else 7])

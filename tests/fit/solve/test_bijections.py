@@ -190,7 +190,7 @@ def test_tints(members: tuple[bool, ...], u: tuple[float, float], total: float) 
     tints = to_tints(step, basis, total)
     assert (tints[list(members)] > 0).all()
     assert tints[list(members)].sum() == pytest.approx(total, rel=8 * EPS)
-    np.testing.assert_allclose(from_tints(tints, basis), step, atol=200 * EPS)
+    np.testing.assert_allclose(from_tints(np.asarray(tints), basis), step, atol=200 * EPS)
 
 
 @pytest.mark.parametrize("u", [1e3, -1e3, 1e5, -1e300], ids=str)

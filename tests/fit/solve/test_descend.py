@@ -13,6 +13,7 @@ from PIL import Image
 from fit import FitResult, fit, load_photo
 from fit.solve import _descend, _polish, _search
 from model_jax import Srgb
+from tests.fit.looks import evidence_of
 from tests.fit.solve.problems import CASES, Dense, Fit, photo_of, start_of
 
 EPS = float(np.finfo(np.float64).eps)
@@ -98,7 +99,8 @@ def test_solvers_see_numbers_of_order_one(
     really = _search.descend
 
     def descend(chart: Any, samples: Any, model: Any, *_: Any) -> None:
-        really(chart, samples, model, Watching(_descend.TOLERANCE, _descend.TOLERANCE), 1)
+        watching: Any = Watching  # mypy takes its fields for its arguments
+        really(chart, samples, model, watching(_descend.TOLERANCE, _descend.TOLERANCE), 1)
         raise Stopped
 
     monkeypatch.setattr(_search, "descend", descend)
@@ -147,6 +149,7 @@ def test_the_gradient_at_the_end_is_rounding(case: str, tmp_path: Path) -> None:
     """The cosine between residuals and slopes, over all samples: a sum of n products of unit
     vectors is known to √n eps or so, and the slopes themselves to a few eps."""
     result = clipped(tmp_path) if case == "clipped" else fit_at(place_of(case))
-    gram, count = result.evidence.end.gram, result.evidence.problem.count
+    evidence = evidence_of(result)
+    gram, count = evidence.end.gram, evidence.problem.count
     cosine = np.sqrt(_polish._promise(gram) / gram[-1, -1])
     assert cosine <= 4 * np.sqrt(count) * EPS

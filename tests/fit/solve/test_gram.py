@@ -1,5 +1,7 @@
 """The exact pass is a residual like any other: optimistix's own solvers run on it as they are."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +20,7 @@ from fit.solve._samples import to_samples
 from model_jax import Layers, Look, Response, composite
 from tests.fit.looks import TRUTH, picture
 
-SOLVERS = {
+SOLVERS: dict[str, Any] = {
     "dogleg": optx.Dogleg(rtol=1e-12, atol=1e-12),
     "lm": optx.LevenbergMarquardt(rtol=1e-12, atol=1e-12),
     "bfgs": optx.BFGS(rtol=1e-12, atol=1e-12),
@@ -41,7 +43,7 @@ def test_optimistix_solves_the_tiled_pass(name: str, layers64: Layers, x64: None
     whiten = jnp.eye(len(here.start))
     atlas = Atlas(**{k: jnp.asarray(v) for k, v in vars(here).items()}, whiten=whiten)
     whole = Pass(atlas, samples, Model(Loss("linear"), None, True), jnp.asarray(1.0))
-    solution = optx.least_squares(
+    solution: optx.Solution = optx.least_squares(
         compressed, SOLVERS[name], jnp.zeros_like(here.start), whole, max_steps=500, throw=False
     )
     found = atlas.entries(solution.value)

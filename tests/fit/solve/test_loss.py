@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.special import erfcx
 from scipy.stats import norm
 
-from fit._choices import LOSSES, check_loss
+from fit._choices import LOSSES, LossName, check_loss
 from fit.solve._loss import TUNING, Loss, weigh
 from model_jax import InputError
 
@@ -21,15 +21,15 @@ GRID = np.concatenate([-FAR[::-1], np.linspace(-12, 12, 241), FAR])
 pytestmark = pytest.mark.usefixtures("x64")
 
 
-def parts(t: np.ndarray, name: str, clipped: int = 0) -> tuple[np.ndarray, ...]:
+def parts(t: np.ndarray, name: LossName, clipped: int = 0) -> tuple[np.ndarray, ...]:
     """Cost, score and curvature of residuals t·σ."""
     sign = None if not clipped else jnp.full(t.shape, clipped)
-    found = weigh(jnp.asarray(t * NOISE), sign, Loss(name, NOISE))  # type: ignore[arg-type]
+    found = weigh(jnp.asarray(t * NOISE), sign, Loss(name, NOISE))
     return tuple(np.asarray(part) for part in found)
 
 
 @pytest.mark.parametrize("name", LOSSES)
-def test_cost_is_scipys(name: str) -> None:
+def test_cost_is_scipys(name: LossName) -> None:
     """`least_squares` halves the cost, and stops at the first of one evaluation."""
     cost, _, _ = parts(GRID, name)
     for t, own in zip(GRID, cost, strict=True):
@@ -41,10 +41,10 @@ def test_cost_is_scipys(name: str) -> None:
 
 @pytest.mark.parametrize("clipped", [0, 1, -1], ids=["measured", "white", "black"])
 @pytest.mark.parametrize("name", LOSSES)
-def test_score_is_half_the_slope(name: str, clipped: int) -> None:
+def test_score_is_half_the_slope(name: LossName, clipped: int) -> None:
     """By JAX's derivative of the cost; its logcdf has its own, good to 1e-12 within 12 σ."""
     sign = jnp.asarray(clipped)
-    loss = Loss(name, NOISE)  # type: ignore[arg-type]
+    loss = Loss(name, NOISE)
     near = GRID[np.abs(GRID) <= 12]
 
     def cost(residual: jax.Array) -> jax.Array:
@@ -57,7 +57,7 @@ def test_score_is_half_the_slope(name: str, clipped: int) -> None:
 
 @pytest.mark.parametrize("clipped", [0, 1, -1], ids=["measured", "white", "black"])
 @pytest.mark.parametrize("name", LOSSES)
-def test_the_matrix_is_positive(name: str, clipped: int) -> None:
+def test_the_matrix_is_positive(name: LossName, clipped: int) -> None:
     """[[h, s], [s, cost]] has no negative eigenvalue: h·cost ≥ s² (`_gram.cholesky` needs it).
 
     Equal for plain least squares and, to first order, far below a bound: a few roundings of slack.
@@ -72,7 +72,7 @@ def test_the_matrix_is_positive(name: str, clipped: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["huber", "soft_l1", "cauchy"])
-def test_robust_curvature_is_the_weight(name: str) -> None:
+def test_robust_curvature_is_the_weight(name: LossName) -> None:
     """score = weight · residual, with a weight that falls from 1 at 0."""
     _, score, curvature = parts(GRID, name)
     np.testing.assert_allclose(score, curvature * GRID * NOISE, rtol=4 * EPS)
@@ -105,17 +105,17 @@ def test_a_bound_is_the_normal_distributions_tail() -> None:
 
 
 @pytest.mark.parametrize("name", LOSSES)
-def test_black_mirrors_white(name: str) -> None:
+def test_black_mirrors_white(name: LossName) -> None:
     white, black = parts(GRID, name, 1), parts(-GRID, name, -1)
     for ours, theirs, sign in zip(white, black, (1, -1, 1), strict=True):
         np.testing.assert_array_equal(ours, sign * theirs)
 
 
 @pytest.mark.parametrize("name", LOSSES)
-def test_measured_samples_are_not_touched_by_clipped_ones(name: str) -> None:
+def test_measured_samples_are_not_touched_by_clipped_ones(name: LossName) -> None:
     mixed = jnp.asarray([0, 1, -1] * 3)
     residual = jnp.asarray(np.repeat([-3.0, 0.0, 40.0], 3) * NOISE)
-    loss = Loss(name, NOISE)  # type: ignore[arg-type]
+    loss = Loss(name, NOISE)
     together = weigh(residual, mixed, loss)
     for sign in (0, 1, -1):
         alone = weigh(residual, jnp.full(9, sign), loss)

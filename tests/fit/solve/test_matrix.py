@@ -183,10 +183,10 @@ def test_caution_hides_nothing(outcomes: list[Outcome]) -> None:
 
 
 if __name__ == "__main__":
-    outcomes = []
+    made: list[Outcome] = []
     for place in whole():
         if len(sys.argv) > 1 and not all(word in str(place) for word in sys.argv[1:]):
             continue
-        outcomes.append(run(place))
-        print(outcomes[-1], flush=True)
-    print(table(outcomes))
+        made.append(run(place))
+        print(made[-1], flush=True)
+    print(table(made))

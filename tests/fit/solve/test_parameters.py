@@ -1,6 +1,7 @@
 """Parameter records: what they tell, priors, ties, bounds, bad starts; verdicts of made-up ends."""
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -102,7 +103,7 @@ def test_a_prior_is_the_conjugate_formula(
     assert result.parameters["brightness"].prior == (mean, sigma)
     # Halfway between the two, to the 1 % in the noise to which rounds are made.
     assert abs(best - mean) > sigma / 2
-    assert result.look.brightness == pytest.approx(best, abs=0.02 * abs(best - mean))
+    assert result.look.brightness == pytest.approx(best, abs=float(0.02 * abs(best - mean)))
     assert result.parameters["brightness"].stderr == pytest.approx(precision**-0.5, rel=0.3)
 
 
@@ -139,7 +140,7 @@ def test_just_inside_is_not_at_bound(gap: float, layers: Layers, photo: np.ndarr
     if gap * best > 1e-3 * error:
         assert result.verdict == "converged"
         assert result.look.brightness == pytest.approx(best, rel=1e-9)
-    assert abs(result.look.brightness - best) <= 1e-3 * error
+    assert abs(float(result.look.brightness) - best) <= 1e-3 * error
 
 
 @pytest.mark.parametrize("start", [0.0, 2.0, 5.0], ids=["lower", "upper", "beyond"])
@@ -215,7 +216,7 @@ BAD = {
 
 @pytest.mark.parametrize(("options", "pattern"), BAD.values(), ids=BAD)
 def test_bad_requests(
-    options: dict[str, object], pattern: str, layers: Layers, photo: np.ndarray
+    options: dict[str, Any], pattern: str, layers: Layers, photo: np.ndarray
 ) -> None:
     """One line: the thing, its value, what to do."""
     with pytest.raises(InputError, match=pattern) as caught:

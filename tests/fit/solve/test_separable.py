@@ -1,6 +1,7 @@
 """The least square sum in closed form: against an eigenvector, against fits, against wrong ends."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -27,12 +28,12 @@ def noisy(layers: Layers) -> np.ndarray:
     return light + np.random.default_rng(11).normal(scale=NOISE, size=light.shape)
 
 
-def ends(monkeypatch) -> list[tuple[Problem, End]]:
+def ends(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Problem, End]]:
     """What the searches of later fits ended with."""
-    found = []
+    found: list[tuple[Problem, End]] = []
     original = _search.search
 
-    def spy(problem, *arguments, **more):
+    def spy(problem: Problem, *arguments: Any, **more: Any) -> End:
         end = original(problem, *arguments, **more)
         found.append((problem, end))
         return end
@@ -41,12 +42,16 @@ def ends(monkeypatch) -> list[tuple[Problem, End]]:
     return found
 
 
-def least(problem: Problem, end: End) -> Least | None:
+def least(problem: Problem, end: End) -> Least:
     reduced = jax.device_get(problem.reduced)
-    return least_square_sum(reduced, end.vector, end.free, problem.parameters)
+    found = least_square_sum(reduced, end.vector, end.free, problem.parameters)
+    assert found is not None
+    return found
 
 
-def test_it_is_the_generalised_eigenvalue(noisy, layers: Layers, monkeypatch) -> None:
+def test_it_is_the_generalised_eigenvalue(
+    noisy: np.ndarray, layers: Layers, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """DESIGN §4: with one shadow weight and free tints the problem has rank one, and its optimum is
     the leading eigenvector of (Σ Aᵀy yᵀA, AᵀA), A = [lit dark]."""
     found = ends(monkeypatch)
@@ -79,7 +84,9 @@ FREE: dict[str, tuple[Look, Sequence[str] | None]] = {
 
 
 @pytest.mark.parametrize("name", FREE)
-def test_fits_end_at_it(name: str, noisy, layers: Layers, monkeypatch) -> None:
+def test_fits_end_at_it(
+    name: str, noisy: np.ndarray, layers: Layers, monkeypatch: pytest.MonkeyPatch
+) -> None:
     start, free = FREE[name]
     found = ends(monkeypatch)
     result = fit(noisy, layers, start, free=free)
@@ -91,7 +98,7 @@ def test_fits_end_at_it(name: str, noisy, layers: Layers, monkeypatch) -> None:
     np.testing.assert_allclose(best.vector, end.vector, rtol=1e-4, atol=1e-5)
 
 
-def test_several_exposures_need_a_second_descent(noisy, layers: Layers) -> None:
+def test_several_exposures_need_a_second_descent(noisy: np.ndarray, layers: Layers) -> None:
     """Brightness times exposure is no sum."""
     dimmer = fit([noisy, noisy / 2], [layers, layers], START)
     assert dimmer.second_opinion == "same"
@@ -106,7 +113,9 @@ def test_several_exposures_need_a_second_descent(noisy, layers: Layers) -> None:
 
 
 @pytest.mark.parametrize("free", [["brightness", "shadow"], ["brightness", "shadow", "gamma"]])
-def test_a_worse_end_is_told(free: list[str], noisy, layers: Layers, monkeypatch) -> None:
+def test_a_worse_end_is_told(
+    free: list[str], noisy: np.ndarray, layers: Layers, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """An end that is no optimum is compared with a lower one, whichever way that is found."""
     found = ends(monkeypatch)
     fit(noisy, layers, START, free=free)
@@ -122,7 +131,7 @@ def test_a_worse_end_is_told(free: list[str], noisy, layers: Layers, monkeypatch
 
 @pytest.mark.parametrize("free", [["brightness", "shadow"], ["brightness", "shadow", "gamma"]])
 def test_a_descent_that_goes_nowhere_is_overruled(
-    free: list[str], noisy, layers: Layers, monkeypatch
+    free: list[str], noisy: np.ndarray, layers: Layers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The second opinion's end becomes the fit's."""
     right = fit(noisy, layers, START, free=free)
@@ -147,5 +156,6 @@ def test_a_descent_that_goes_nowhere_is_overruled(
     # step follows here.
     for name in free:
         estimate = right.parameters[name]
+        assert estimate.stderr is not None
         allowed = 1e-3 * estimate.stderr + 1e-5 * estimate.value
         assert result.parameters[name].value == pytest.approx(estimate.value, abs=allowed)
