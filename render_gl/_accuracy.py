@@ -27,6 +27,7 @@ squares that is its discriminant has 8 u S instead of 7: together 12 ulp. Along 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -96,7 +97,7 @@ class Accuracy:
         """False also when nothing could be compared."""
         return self.outside == 0 and self.compared > 0
 
-    def summary(self) -> dict[str, object]:
+    def summary(self) -> dict[str, Any]:
         """Figures for `airlight check`, scene length units, as JSON data."""
         rows: dict[str, object] = {}
         inside = ~self.predicted.silhouette

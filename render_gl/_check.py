@@ -1,6 +1,7 @@
 """`airlight check`: the renderer examined on one scene, in figures and pictures."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from model_jax import Look, Scene
 
@@ -27,7 +28,7 @@ class Check:
     def passed(self) -> bool:
         return self.parity.passed and self.accuracy.passed
 
-    def summary(self) -> dict[str, object]:
+    def summary(self) -> dict[str, Any]:
         """Figures of both, as JSON data."""
         return {
             "passed": self.passed,

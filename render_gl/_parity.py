@@ -66,7 +66,7 @@ class Parity:
         """True when every channel of every pixel is finite and within its bound."""
         return bool(np.all(np.abs(self.difference) <= self.bound))  # NaN compares False
 
-    def summary(self) -> dict[str, object]:
+    def summary(self) -> dict[str, Any]:
         """The figures that `airlight check` prints, as JSON data."""
         size = np.abs(self.difference)
         rgb = np.abs(self.jax[..., :3])

@@ -438,11 +438,11 @@ def test_lines_are_short_and_printable(files: Path, words: tuple[str, ...], told
 
 
 def test_a_warning_is_short_and_printable(files: Path) -> None:
-    document = json.loads((files / "fit.json").read_text()) | {"verdict": LONG}
+    document = json.loads((files / "fit.json").read_text()) | {"warnings": ["\x1b[31m" + LONG]}
     with copied(files):
         Path("\x1b[31m").write_text(json.dumps(document))
         said = check("export", "\x1b[31m", "--to", "csv")
-    assert said.startswith(r"airlight: warning: \x1b[31m: verdict xxx")
+    assert r"airlight: warning: \x1b[31mxxx" in said
 
 
 def test_names_on_standard_output_are_printable(
