@@ -1,8 +1,6 @@
 """`import airlight`: every public name under one, and only those."""
 
 import re
-import subprocess
-import sys
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ import fit
 import model_jax
 import render_gl
 
-from .data import REPOSITORY
+from .command import mypy
 
 PACKAGES = (model_jax, render_gl, fit)
 WHOLE: Any = airlight
@@ -50,11 +48,7 @@ def test_types_come_with_it(tmp_path: Path) -> None:
         "reveal_type(airlight.__version__)\n"
         "airlight.atmosphere\n"
     )
-    command = [sys.executable, "-m", "mypy", "--config-file", "", "--no-error-summary", "a.py"]
-    environment = {"MYPYPATH": str(REPOSITORY), "PATH": "/usr/bin:/bin"}
-    done = subprocess.run(
-        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
-    )
+    done = mypy(tmp_path / "a.py")
     told = re.sub(r"\n +", " ", done.stdout)
     assert "FitResult" in told.splitlines()[0], told
     assert "def (scene: model_jax._scene.Scene" in told, told

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from .command import mypy
+
 ROOT = Path(__file__).resolve().parent.parent
 LINES = (ROOT / "README.md").read_text().splitlines()
 
@@ -38,14 +40,7 @@ def test_the_python_snippet_runs() -> None:
 def test_the_python_snippet_is_typed(tmp_path: Path) -> None:
     (snippet,) = blocks("python")
     (tmp_path / "snippet.py").write_text(snippet)
-    command = [
-        sys.executable,
-        "-m",
-        "mypy",
-        "--follow-imports=silent",
-        str(tmp_path / "snippet.py"),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    done = mypy(tmp_path / "snippet.py")
     assert done.returncode == 0, done.stdout
 
 
