@@ -52,7 +52,7 @@ def test_importing_starts_no_device(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("traced", "variable"),
     [
-        (False, "JAX_DEBUG_NANS"),
+        pytest.param(False, "JAX_DEBUG_NANS", marks=pytest.mark.full),
         (True, "JAX_ENABLE_X64"),
         pytest.param(False, "JAX_ENABLE_X64", marks=pytest.mark.full),
         pytest.param(True, "JAX_DEBUG_NANS", marks=pytest.mark.full),
