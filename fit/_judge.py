@@ -69,7 +69,7 @@ def judge(
 
     Args:
         residuals: at the end point, by `residuals_of`.
-        undone: what JPEG did, or why that is not known; None where nobody asked.
+        debiased: the look before JPEG, or why it is not known; None where nobody asked.
         left_out: what was left out so far.
     """
     worth = _Worth(end.vector)
@@ -111,7 +111,7 @@ def judge(
 
 @dataclass(frozen=True)
 class _Worth:
-    """What an end point is worth: of the told parameters, in their order."""
+    """What an end point is worth, in the order of the identified parameters."""
 
     vector: Entries
     """The end, or what it was before compression."""

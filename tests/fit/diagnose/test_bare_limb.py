@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from fit import fit, load_photo
 from fit.diagnose._bare_limb import EVIDENCE, AirEvidence, bare_limb, find_air
 from fit.diagnose._effective import effective_samples
-from model_jax import Scene, Sun, analytic_layers, layer_widths
+from model_jax import Scene, Srgb, Sun, analytic_layers, layer_widths
 from render_gl import load_scene
 from tests.data import REPOSITORY
 from tests.fit.diagnose.discs import disc_scene, full_moon, moon
@@ -177,6 +178,21 @@ def test_a_fit_of_the_moon_ends_in_no_data(data_dir: Path) -> None:
     result = fit(photo, analytic_layers(scene))
     assert result.verdict == "no_data"
     assert "no atmosphere shows" in result.message
+
+
+def test_no_jpeg_is_undone_where_there_is_no_air(
+    tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is the last step, and takes seconds."""
+    light = full_moon(99.5, 99.5)
+    codes = 255 * Srgb().encode(np.clip(light + rng.normal(scale=0.01, size=light.shape), 0, 1))
+    Image.fromarray(np.round(codes).astype(np.uint8)).save(tmp_path / "moon.jpg", quality=92)
+    asked: list[object] = []
+    monkeypatch.setattr("fit._fit.debias_jpeg", lambda *given: asked.append(given))
+    layers = analytic_layers(disc_scene((200, 200), (99.5, 99.5, 60.0), 0.05, SIDEWAYS))
+    photo = load_photo(tmp_path / "moon.jpg")
+    assert fit(photo, layers, jpeg="undo").verdict == "no_data"
+    assert not asked
 
 
 @pytest.mark.parametrize("height", [0.01, 0.03])
