@@ -1,4 +1,4 @@
-"""The numbers of a result: what may be wrong with each told value, beside noise."""
+"""The numbers of a result: what may be wrong with each identified value, beside noise."""
 
 from collections.abc import Sequence
 
@@ -24,7 +24,7 @@ from .solve._task import Task
 def grey_variance(
     columns: Sequence[Columns], identified: Sequence[FitParameter], vector: Entries
 ) -> Float[np.ndarray, " t"]:
-    """What is not known of how photos were made grey, as variance of the told parameters.
+    """What is not known of how photos were made grey, as variance of the identified parameters.
 
     It is a factor on a grey photo's light: brightness, or the exposure beside a photo in colour.
     """
@@ -40,7 +40,7 @@ def grey_variance(
 
 
 def rounding_bias(evidence: Evidence) -> list[float | None]:
-    """Each told parameter's bound on the bias by the photos' rounding to codes."""
+    """Each identified parameter's bound on the bias by the photos' rounding to codes."""
     half_steps = _half_steps(evidence.task.photos, evidence.problem.columns)
     return _shifted(evidence, half_steps)
 
@@ -50,7 +50,7 @@ def doubts_of(
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
     look_for_causes: bool,
 ) -> Doubts:
-    """What may be wrong with the told values beside noise."""
+    """What may be wrong with the identified values beside noise."""
     problem = evidence.problem
     return find_doubts(
         evidence.point,
@@ -79,7 +79,7 @@ def _half_steps(
 
 
 def layer_errors(evidence: Evidence) -> list[float | None]:
-    """How far the layers' own errors can shift each told parameter."""
+    """How far the layers' own errors can shift each identified parameter."""
     problem = evidence.problem
     if all(c.drawn_error is None for c in problem.columns):
         return [None] * len(evidence.identified)
@@ -92,7 +92,7 @@ def layer_errors(evidence: Evidence) -> list[float | None]:
 
 
 def _shifted(evidence: Evidence, steps: Sequence[np.ndarray | None]) -> list[float | None]:
-    """How far each told parameter moves if all samples are off by so much, all conspiring."""
+    """How far each identified parameter moves if all samples are off by so much, all conspiring."""
     rows = evidence.rows
     if not len(rows) or all(step is None for step in steps):
         return [None] * len(rows)

@@ -130,7 +130,7 @@ class _Worth:
 
     @property
     def correlation(self) -> Float[np.ndarray, "t t"]:
-        # The told tints add up to 3; a length of zero is a parameter that nothing can move.
+        # The identified tints add up to 3; a length of zero is a parameter that nothing can move.
         lengths = np.where(self.stderr > 0, self.stderr, 1.0)
         found = np.clip(self.covariance / np.outer(lengths, lengths), -1, 1)
         np.fill_diagonal(found, 1.0)
@@ -140,7 +140,7 @@ class _Worth:
 def _worth(
     evidence: Evidence, residuals: Sequence[Float[np.ndarray, "_ 3"]], debiased: Debiased | None
 ) -> _Worth:
-    """Errors of what was told, widened by what is doubtful beside noise."""
+    """Errors of what is identified, widened by what is doubtful beside noise."""
     point, identified, rows = evidence.point, evidence.identified, evidence.rows
     vector, along_free = point.vector, evidence.spread.covariance
     freedom = evidence.spread.freedom(rows)
@@ -176,7 +176,7 @@ def _errors(evidence: Evidence) -> Errors:
 
 
 def _estimates(task: Task, end: End, worth: _Worth) -> dict[str, Estimate]:
-    """Every parameter by its name, told or not."""
+    """Every parameter by its name, identified or not."""
     names = [p.name for p in worth.identified]
     held = {p.name for flat in end.flat for p in flat.held}
     stderr = worth.stderr

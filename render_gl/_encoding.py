@@ -20,6 +20,7 @@ from ._files import PathLike
 _FEWEST = 200
 """Pixels of air that tell a sphere from something else."""
 _MOST = 20_000
+"""Pixels that are looked at, at most, evenly chosen."""
 _BETTER = 10.0
 """How much closer to a sphere another encoding must be. Wrong ones are 500 times as far off as the
 right one and more in layers as exact as float32, 43 times in those of meshes of 20,000 triangles,

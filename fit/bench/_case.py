@@ -33,8 +33,10 @@ from ..solve._samples import on_device, to_samples
 TRUTH = Look(brightness=3.0, shadow=0.2, tint=np.array([0.8, 0.9, 1.3]))
 FREE = ("brightness", "shadow", "tint")
 NOISE = 0.02
-SEED = 20261123
+"""Five of 256 codes, some noise of a photo: time does not depend on it."""
+NOISE_SEED = 20261123
 SIZE = (1280, 1024)
+"""The paper's picture."""
 LARGE = (4928, 2768)
 """13.6 megapixels, a full-frame camera's."""
 
@@ -78,7 +80,7 @@ def make_picture(width: int, height: int) -> tuple[Layers, Float[np.ndarray, "h 
     """Layers of the scene, and a noisy photo."""
     layers = jax.tree.map(np.asarray, analytic_layers(_scene(width, height), jnp.float32))
     clean = np.asarray(composite(layers, TRUTH), np.float32)[..., :3]
-    noise = np.random.default_rng(SEED).normal(scale=NOISE, size=clean.shape)
+    noise = np.random.default_rng(NOISE_SEED).normal(scale=NOISE, size=clean.shape)
     return layers, (clean + noise).astype(np.float32)
 
 

@@ -32,7 +32,7 @@ from ..photo._pixels import Columns, choose_pixels, take_columns
 from ..solve._descend import exact_gram
 from ..solve._parameters import free_directions, to_entries
 from ..solve._search import search
-from ._case import FREE, SEED, SIZE, Row, case_problem, make_picture
+from ._case import FREE, NOISE_SEED, SIZE, Row, case_problem, make_picture
 from ._peers import dense_fit, scipy_fit
 from ._processes import compile_row, memory_row
 
@@ -230,7 +230,7 @@ def _write(folder: Path, rows: list[Row], one_pass: dict[str, float]) -> dict[st
     }
     document: dict[str, Any] = {
         "machine": machine,
-        "seed": SEED,
+        "seed": NOISE_SEED,
         "pass": one_pass,
         "rows": [asdict(row) for row in rows],
     }

@@ -20,10 +20,6 @@ from ..photo._photo import Photo
 from ..report._report import Section, photo_section
 from ._outputs import remove
 
-FILES = ("fit.json", "report.html", "image.exr", "residual.exr", "layers.exr", "influence.exr")
-"""What a fit of one photo leaves; pictures of the fit where there is one, the last only where a
-value was told."""
-
 _BAND = 2**18
 """Pixels whose picture is computed at once: a few MB for each quantity on the way to it."""
 

@@ -47,8 +47,8 @@ class Amounts:
     information: float
     """Akaike's criterion, negative: the more, the likelier is the cause."""
     moved: Float[np.ndarray, "t t"]
-    """Mean square of how far all light of the cause moves the told parameters, in amounts that are
-    likely by the photo and by `PRIOR`."""
+    """Mean square of how far all light of the cause moves the identified parameters, in amounts
+    that are likely by the photo and by `PRIOR`."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Sums:
     products: Float[np.ndarray, "blocks k k"]
     count: int
     identified: Float[np.ndarray, "t p"]
-    """Rows of the told parameters."""
+    """Rows of the identified parameters."""
     slopes_of: Float[np.ndarray, "t p"]
     """Makes slopes along the free directions of influences."""
     curved: Float[np.ndarray, "p p"]
@@ -130,7 +130,8 @@ class Sums:
         return float(self.total[-1, -1])
 
     def shift_of(self, part: slice) -> Float[np.ndarray, "t q"]:
-        """By which one unit of columns moves the told parameters, were all pixels such as these."""
+        """By which one unit of columns moves the identified parameters, were all pixels like
+        these."""
         pulled = self.slopes_of.T @ self.total[self.slopes, part]
         root = inverse_root(self.curved)
         return np.asarray(self.identified @ root @ (root.T @ pulled))
@@ -207,7 +208,7 @@ def _solved(
 ) -> np.ndarray:
     """Least squares of columns `of` for a part of the others, or for what is left over.
 
-    By the normal equations, of columns of one length; told tints are dependent.
+    By the normal equations, of columns of one length; identified tints are dependent.
     """
     target = products[of, -1] if part is None else products[of, part]
     scaled, size = unit_diagonal(products[np.ix_(of, of)])

@@ -45,7 +45,7 @@ class Evidence(OnDemand):
 
     @cached_property
     def rows(self) -> Float[np.ndarray, "t p"]:
-        """Rows of the told parameters along the free directions."""
+        """Rows of the identified parameters along the free directions."""
         rows = [p.of(self.point.directions) for p in self.identified]
         return np.array(rows).reshape(len(self.identified), self.point.directions.shape[1])
 

@@ -22,7 +22,7 @@ shifted edge."""
 _INSIDE = 4
 """The outermost pixels of the disc do not count as disc: they hold the blurred edge."""
 _TILE = 64
-"""Side of the tiles that are blurred, px: eight supports of the Gaussian."""
+"""Side of the tiles that are blurred, px, beside the support around them."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,7 @@ def limb_of(
 
 _DEVIATE = np.linspace(-6.0, 6.0, 2401)
 _CUMULATIVE = np.array([NormalDist().cdf(t) for t in _DEVIATE])
+"""The normal distribution in steps of 1/200: a line between two is within 1e-6 of it."""
 
 
 def _outline(planet: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "6"] | None:

@@ -67,8 +67,8 @@ class Doubts:
     misfits: tuple[Misfit, ...]
     """The plainest first."""
     covariance: Float[np.ndarray, "t t"]
-    """Mean square of how far the told parameters are off: in each photo by the plainest cause, also
-    one too faint for a word, and by pixels that show means over their squares."""
+    """Mean square of how far the identified parameters are off: in each photo by the plainest
+    cause, also one too faint for a word, and by pixels that show means over their squares."""
 
 
 def find_doubts(
@@ -85,7 +85,7 @@ def find_doubts(
     """What each photo's left over light says of the model.
 
     Args:
-        to_told: rows of the told parameters along the free directions.
+        to_identified: rows of the identified parameters along the free directions.
         hessian: half the second derivative of the square sum, as in `Spread`.
         residuals: by `residuals_of`.
         believed: samples that a robust loss did not dismiss.

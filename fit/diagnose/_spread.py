@@ -72,7 +72,7 @@ class Spread:
     """Rᵀ S R of each block, S its part of F: shares in what is known, which add up to 1."""
 
     def freedom(self, to_identified: Float[np.ndarray, "t p"]) -> Float[np.ndarray, " t"]:
-        """Degrees of freedom of each told parameter's variance, ≥ 1.
+        """Degrees of freedom of each identified parameter's variance, ≥ 1.
 
         The variance is a square sum of the blocks' stretched scores z. Were residuals independent
         and alike, these had the covariance P = diag(aᵀBa) - (Ba)(Ba)ᵀ with a = (1 - B)^-½ Aᵀ c, B a

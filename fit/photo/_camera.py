@@ -38,12 +38,14 @@ There the intervals of corrected values covered the truth in 85 to 93 of 100 fit
 _LOW = tuple((row, col) for row in range(5) for col in range(5) if 0 < row + col < 5)
 """Frequencies whose numbers of steps are compared: higher ones are 0 as a rule."""
 _MOST_STEPS = 8
+"""Numbers of steps from which on they count as one: larger ones are few."""
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 """Weights of codes in luma, as JFIF weighs them (ITU-R BT.601)."""
 _COMPARED = 8
 """Files made up to compare with."""
 
 _TUNINGS = 5
+"""Rounds in which the noise is found whose residuals after compression are the photo's."""
 _BAND = 128
 """Rows of a window, whose encoding and decoding needs no other."""
 _BLOCK = 16

@@ -28,7 +28,7 @@ _SAME_CURVE = 1e-3
 """Difference of light in [0, 1] up to which two curves are one: a quarter of an 8-bit code. Tables
 of sRGB's curve differ by 2e-4."""
 _NODES = 4096
-"""Points of a curve that is kept as a table: 12 bits, as fine as profiles have them."""
+"""Points of a curve that is kept as a table: sixteen for each of 256 codes."""
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ RESIDUAL, INFLUENCE, WEIGHT = "RdBu_r", "PuOr_r", "cividis"
 _LEVELS = 101
 """Colours of a map; odd, so that zero has its own. A palette of 101 halves the PNG."""
 _HATCH = ((126, 130, 138), (142, 146, 154))
+"""Two greys that no map has, for pixels of which nothing is shown."""
 _CHANNELS = (("red", "#d64550"), ("green", "#2a9d5c"), ("blue", "#3f83e0"))
 _CURVE = "#9a7bd0"
 _INK = {"light": "#3c4657", "dark": "#aab4c3"}

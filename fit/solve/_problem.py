@@ -23,11 +23,11 @@ class Problem:
 
     columns: tuple[Columns, ...]
     samples: Samples
-    """All of `columns`, on the device; or the few that stand for them."""
+    """All of `columns`, on the device; or the reduced ones that stand for them."""
     parameters: tuple[FitParameter, ...]
     model: Model
     is_rough: bool = False
-    """`samples` are the few already."""
+    """`samples` are the reduced ones already."""
 
     @cached_property
     def reduced(self) -> Samples:
@@ -68,7 +68,7 @@ class Problem:
         return self.count * (np.finfo(np.float64).eps * self.light_max) ** 2
 
     def rough(self) -> "Problem":
-        """The few in place of all: for answers that are asked again."""
+        """The reduced samples in place of all: for answers that are asked again."""
         return replace(self, samples=self.reduced, is_rough=True)
 
     def beside(self, columns: Sequence[Columns]) -> "Problem":

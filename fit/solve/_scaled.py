@@ -24,8 +24,8 @@ def least_squares(
     matrix: Float[np.ndarray, "*n rows columns"], target: Float[np.ndarray, "*n rows"]
 ) -> tuple[Float[np.ndarray, "*n columns"], Float[np.ndarray, "*n rows"]]:
     """The shortest solutions of linear least squares, n at once, and what they leave over."""
-    size = np.linalg.norm(matrix, axis=-2, keepdims=True)
-    scaled = matrix / np.where(size > 0, size, 1.0)
+    size = np.linalg.norm(matrix, axis=-2)
+    size = np.where(size > 0, size, 1.0)
+    scaled = matrix / size[..., None, :]
     found = np.linalg.pinv(scaled, rcond=RANK) @ target[..., None]
-    left = target - (scaled @ found)[..., 0]
-    return (found / np.where(size > 0, size, 1.0).swapaxes(-1, -2))[..., 0], left
+    return found[..., 0] / size, target - (scaled @ found)[..., 0]

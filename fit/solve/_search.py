@@ -24,7 +24,7 @@ from ._parameters import Entries, FitParameter, chart, free_directions, is_outsi
 from ._polish import CHECK, finish, is_settled, put_inside, sample_variance
 from ._problem import Point, Problem
 from ._samples import Samples
-from ._separable import starts
+from ._separable import start_vectors
 
 _NEAR = 1e-3
 """Distance from a bound, in typical sizes, from which it is tried there."""
@@ -159,7 +159,7 @@ def _descend(
     with float64():
         samples = problem.reduced
         if candidates is None:
-            candidates = starts(samples, held, free, problem.parameters)
+            candidates = start_vectors(samples, held, free, problem.parameters)
         start = _lowest(candidates, samples, free, problem)
     return descend(
         chart(start, free, problem.parameters), samples, problem.model, solver, max_steps

@@ -4,11 +4,12 @@ With gamma 1 a photo's light is a sum of products: amplitude · (lit + shadow ·
 the shadow weight, the best amplitudes and levels are a linear least squares problem (variable
 projection: Golub and Pereyra, SIAM J. Numer. Anal. 10, 413, 1973).
 
-`starts` solves it for a fan of shadow weights. With tint free and one weight for all channels, what
-is left is a Rayleigh quotient of two by two matrices in the direction (lit, dark), which has one
-valley: 9 directions over the quarter circle of weights ≥ 0 cannot miss it. For plain least squares
-without gamma the best of the fan is within the fan's width of the global optimum, which keeps a
-descent out of wrong valleys; a free gamma gets a fan of its own, by taking the light to its power.
+`start_vectors` solves it for a fan of shadow weights. With tint free and one weight for all
+channels, what is left is a Rayleigh quotient of two by two matrices in the direction (lit, dark),
+which has one valley: 9 directions over the quarter circle of weights ≥ 0 cannot miss it. For plain
+least squares without gamma the best of the fan is within the fan's width of the global optimum,
+which keeps a descent out of wrong valleys; a free gamma gets a fan of its own, by taking the light
+to its power.
 
 `least_square_sum` scans the shadow weight until the least square sum is known: an answer that owes
 nothing to a start or a solver. Where each channel has a weight of its own, amplitude · shadow is
@@ -56,7 +57,7 @@ class _Photo:
     color: Float[np.ndarray, "3"]
 
 
-def starts(
+def start_vectors(
     samples: Samples,
     vector: Entries,
     free: Sequence[FitParameter],
@@ -268,7 +269,7 @@ def least_square_sum(
     """The least square sum over all values of what is free, bounds of shadow weights only.
 
     Args:
-        few: `moments` of the pixels.
+        reduced: `moments` of the pixels.
         vector: what is not free stays as it is.
 
     Returns:

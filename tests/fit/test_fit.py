@@ -32,7 +32,8 @@ from .looks import (
 
 
 def test_recovers_from_float32_layers(layers: Layers) -> None:
-    """To the 1e-4 that is promised for float32 layers."""
+    """Widths are rounded by 3e-7 of a typical one; 1e-4 leaves a factor of 300 for columns that are
+    alike."""
     result = fit(picture(layers, TRUTH), layers, START)
     check_values(result, TRUTH, 1e-4)
     assert result.explained is not None
@@ -44,7 +45,8 @@ def test_recovers_from_float32_layers(layers: Layers) -> None:
 
 
 def test_recovers_from_float64_layers(layers64: Layers) -> None:
-    """To the 1e-8 that is promised for float64 layers, with JAX's x64 off in the caller."""
+    """To the root of float64's eps, below which a square sum tells nothing; with JAX's x64 off in
+    the caller."""
     with jax.enable_x64(True):
         photo = picture(layers64, TRUTH)
     check_values(fit(photo, layers64, START), TRUTH, 1e-8)
