@@ -19,7 +19,7 @@ from model_jax import (
     width_ranges,
 )
 from render_gl import DepthFormat, Source
-from render_gl._accuracy import Accuracy, displacement, measure_accuracy, predict_accuracy, smooth
+from render_gl._accuracy import displacement, measure_accuracy, predict_accuracy, smooth
 from render_gl._depth_format import EPS, choose_format
 from render_gl._mesh import cone_mesh, sphere_mesh
 from render_gl._mesh_error import heights_at
@@ -110,7 +110,7 @@ def test_rays_are_as_exact_as_float32_and_meshes_are_not() -> None:
     # A mesh of 196,020 triangles lies 3e-5 radii inside, float32 rounds to 6e-8: the ratio of 500
     # is that of widths off the limb; at the limb both grow as roots of it.
     for row in ("lit", "dark"):
-        assert figures(mesh, row)["median"] > 50 * figures(ray, row)["median"]
+        assert mesh.summary()[row]["median"] > 50 * ray.summary()[row]["median"]
     assert ray.largest < 2e-5 * 6371
     assert mesh.largest > 2e-3 * 6371
 
@@ -127,13 +127,6 @@ def test_a_shadow_has_both_ends_or_none(name: str, source: Source) -> None:
     assert float(np.min(back - front)) >= 0
     _, dark = layer_widths(layers)
     assert float(np.min(np.asarray(dark))) >= 0
-
-
-def figures(accuracy: Accuracy, row: str) -> dict[str, float]:
-    """A row of the summary."""
-    found = accuracy.summary()[row]
-    assert isinstance(found, dict)
-    return found
 
 
 def random_scene(rng: np.random.Generator) -> Scene:
@@ -216,7 +209,7 @@ def test_clip_planes_through_the_scene_clamp_alike(near: float, far: float) -> N
 def test_prediction_is_no_excuse() -> None:
     """Half the median prediction is really used up: the bound is not just large."""
     accuracy = measure_accuracy(SCENES["sun (1, -1, 1)"], "linear", "mesh")
-    lit = figures(accuracy, "lit")
+    lit = accuracy.summary()["lit"]
     assert lit["predicted_median"] <= 20 * lit["median"]
 
 

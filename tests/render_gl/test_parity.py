@@ -25,13 +25,6 @@ def checked(case: Scene, look: Look, depth_format: render_gl.DepthFormat) -> Par
     return compare(case, look, frame, depth_format, division)
 
 
-def relative_bound(parity: Parity) -> float:
-    """Of the largest value in the picture."""
-    bound = parity.summary()["bound_relative"]
-    assert isinstance(bound, float)
-    return bound
-
-
 @pytest.mark.parametrize(
     ("case", "depth_format"),
     [
@@ -57,12 +50,12 @@ def test_glsl_and_jax_agree(
     if parity.division_ulp == 0:
         # Depths divided exactly (llvmpipe on most processors) leave the colour's 11 roundings of
         # 1.2e-7. A driver that is up to 3 ulp off per depth needs z_max / width_max < 8 for this.
-        assert relative_bound(parity) <= 1e-5
+        assert parity.summary()["bound_relative"] <= 1e-5
 
 
 @pytest.mark.parametrize("case", SCENES.values(), ids=SCENES.keys())
 def test_bound_is_tight_enough_on_linear_layers(case: Scene) -> None:
-    assert relative_bound(checked(case, Look(), "linear")) <= 1e-5
+    assert checked(case, Look(), "linear").summary()["bound_relative"] <= 1e-5
 
 
 def test_paper_scene_agrees_to_1e5_of_its_maximum() -> None:
@@ -73,10 +66,10 @@ def test_paper_scene_agrees_to_1e5_of_its_maximum() -> None:
     width_max = float(np.max(layers.back - layers.front))
     assert z_max / width_max <= 30  # what the bound of 1e-5 is stated for
     assert parity.passed
-    assert relative_bound(parity) <= 1e-5
+    assert parity.summary()["bound_relative"] <= 1e-5
     # The driver's worst allowed division would keep this scene below the bound, too.
     worst = compare(file.scene, file.look, draw(file.scene, file.look, "window24"), "window24", 3.0)
-    assert relative_bound(worst) <= 1e-5
+    assert worst.summary()["bound_relative"] <= 1e-5
 
 
 def test_looks_with_channels_agree() -> None:
