@@ -12,21 +12,21 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 
-from model_jax import Look, analytic_layers, combine
+from model_jax import LayersLook, analytic_layers, combine
 from render_gl import load_scene
 
 scene = load_scene(Path(__file__).parent / "reference.toml").scene
 layers = analytic_layers(scene)
-target = combine(layers, Look(brightness=2.0, shadow=0.5, tint=[1.2, 1.0, 0.8]))
+target = combine(layers, LayersLook(brightness=2.0, shadow=0.5, tint=[1.2, 1.0, 0.8]))
 
 
 @jax.jit
-def loss(look: Look) -> jax.Array:
+def loss(look: LayersLook) -> jax.Array:
     """Mean squared difference to the target, over pixels and channels."""
     return jnp.mean((combine(layers, look) - target) ** 2)
 
 
-def descend(look: Look, steps: int = 200) -> Look:
+def descend(look: LayersLook, steps: int = 200) -> LayersLook:
     """Plain gradient descent; the step is the inverse of the largest curvature's order."""
     gradient = jax.jit(jax.grad(loss))
     rate = (
@@ -38,7 +38,7 @@ def descend(look: Look, steps: int = 200) -> Look:
 
 
 if __name__ == "__main__":
-    start = Look()
+    start = LayersLook()
     print(f"loss at the start   {loss(start):.3e}")
     print(f"gradient            {jax.grad(loss)(start).brightness:.3e} by brightness")
     end = descend(start)

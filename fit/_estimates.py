@@ -15,26 +15,30 @@ from .diagnose._residuals import width_slopes_of
 from .photo._camera import is_coarse
 from .photo._photo import Photo
 from .photo._pixels import Columns, PhotoLike, Pixels, grey_spread
-from .solve._parameters import TINT, Entries, FitParameter, to_responses
+from .solve._parameters import Entries, FitParameter, to_responses
 from .solve._problem import Problem
 from .solve._search import End
 from .solve._task import Task
 
 
 def grey_variance(
-    columns: Sequence[Columns], identified: Sequence[FitParameter], vector: Entries
+    problem: Problem, identified: Sequence[FitParameter], vector: Entries
 ) -> Float[np.ndarray, " t"]:
     """What is not known of how photos were made grey, as variance of the identified parameters.
 
-    It is a factor on a grey photo's light: brightness, or the exposure beside a photo in colour.
+    It is a factor on a grey photo's light: a separable look's amplitude, or the exposure beside a
+    photo in colour. Of other looks no parameter is known to take it all.
     """
+    columns, layout = problem.columns, problem.model.layout
+    fact = layout.kind.SEPARABLE
+    factors = np.ones(3) if fact is None else layout.values(vector)[fact.factors]
     grey = [c.mix is not None for c in columns]
     found = np.zeros(len(identified))
     for k, p in enumerate(identified):
         number = int(p.name.partition(".")[2] or 1) - 1 if p.family == "exposure" else 0
         unsure = grey[number] != grey[0] if p.family == "exposure" else grey[0]
-        if unsure and p.family in ("brightness", "exposure"):
-            color = columns[number].color * vector[TINT]
+        if unsure and p.family in ("exposure", fact.amplitude if fact is not None else ""):
+            color = columns[number].color * factors
             found[k] = (grey_spread(color) * float(p.of(vector))) ** 2
     return found
 
@@ -114,7 +118,7 @@ def debias_jpeg(
         return "the file is compressed so much that it does not show its noise"
     if not end.settled or not evidence.point.directions.shape[1]:
         return "nothing was told that it could be taken off"
-    clipped = 3 * sum(len(c.lit) for c in problem.columns) - problem.count
+    clipped = 3 * sum(len(c.index) for c in problem.columns) - problem.count
     if clipped > MOST_CLIPPED * problem.count:
         return f"more than {MOST_CLIPPED:.0%} of the samples are clipped"
     return undo_compression(
@@ -139,8 +143,9 @@ def photo_results(
 ) -> list[PhotoResult]:
     """What each photo says of the end point."""
     found = []
+    responses = to_responses(end.vector, type(task.look))
     for c, px, layers, residual, response in zip(
-        problem.columns, pixels, task.layers, residuals, to_responses(end.vector), strict=True
+        problem.columns, pixels, task.layers, residuals, responses, strict=True
     ):
         sums = [square_sum_of(channel) for channel in residual.T]
         count, square_sum = sum(n for n, _ in sums), sum(square for _, square in sums)

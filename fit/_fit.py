@@ -14,9 +14,10 @@ from typing import Any, overload
 import jax
 import numpy as np
 
-from model_jax import InputError, Layers, Look, Response
+from model_jax import InputError, Layers, LayersLook, Look, Response
 from model_jax._kinds import need
 from model_jax._shapes import is_traced
+from model_jax.looks._check import check_look
 
 from ._choices import check_jpeg, check_loss, check_sampling, check_steps
 from ._compile import float64
@@ -81,7 +82,7 @@ def fit(
 def fit(
     photo: Any,
     layers: Any,
-    look: Any = Look(),  # noqa: B008 (a frozen record)
+    look: Any = LayersLook(),  # noqa: B008 (a frozen record)
     *,
     free: Any = None,
     response: Any = Response(),  # noqa: B008 (a frozen record)
@@ -98,17 +99,17 @@ def fit(
 
     The model is `record(composite(layers, look), response)`, of `model_jax`, without alpha:
     `black_level + (exposure · (surface + air + background))^(1/gamma)`. Residuals are unweighted,
-    all channels alike. While tint is free its mean is 1. Samples at a photo's highest or lowest
-    code count as "at least this bright" and "at most".
+    all channels alike. Free factors of mean one keep that mean. Samples at a photo's highest or
+    lowest code count as "at least this bright" and "at most".
 
     Args:
         photo: a loaded photo, or linear light [h, w, 3] as floats (JAX or NumPy); or a sequence of
-            them. Several photos share the look, in physical units: brightness refers to the first
-            layers' `width_unit`, and all layers must use one length unit.
+            them. Several photos share the look, in physical units: what is per width unit refers to
+            the first layers' `width_unit`, and all layers must use one length unit.
         layers: of the photo's size, float32 or float64; one for each photo.
-        look: start values; what is not free stays as it is. One number or three in `shadow` and
-            `background` decides whether they are fitted as one or per channel.
-        free: names to fit, such as "brightness", "tint" (all channels), "tint.r", "exposure.2".
+        look: of any kind (`looks`), with start values; what is not free stays as it is. Where a
+            parameter may be one number or a colour, its form decides how it is fitted.
+        free: names to fit: a parameter, one channel of a colour as NAME.r, "exposure.2" …
             None means the look, and with several photos also black levels and exposures but the
             first.
         response: start values of each photo's response, or one for all.
@@ -195,8 +196,9 @@ def _fit(task: Task) -> FitResult:
     seen = list(zip(task.photos, task.layers, strict=True))
     pixels = [choose_pixels(p, la, task.sampling) for p, la in seen]
     unit = float(task.layers[0].width_unit)
+    kind = type(task.look)
     columns = tuple(
-        take_columns(p, la, px.used, unit) for (p, la), px in zip(seen, pixels, strict=True)
+        take_columns(p, la, px.used, unit, kind) for (p, la), px in zip(seen, pixels, strict=True)
     )
     asked, left_out = leave_out(task, columns)
     why_not = why_no_data(task, pixels, columns, asked)
@@ -251,6 +253,8 @@ def _check_kinds(photo: Any, layers: Any, look: Any, response: Any, max_steps: A
     if is_traced(layers):
         raise InputError("fit: the layers are traced; make them outside of jit, vmap or grad")
     need("look", look, Look)
+    kind: type[Look] = type(look)
+    check_look(kind)
     for one in response if isinstance(response, list | tuple) else (response,):
         need("response", one, Response)
     check_steps("max_steps", max_steps)

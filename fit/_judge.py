@@ -83,6 +83,7 @@ def judge(
         for p in flat.held
     ]
     verdict = _verdict(task, end)
+    responses = to_responses(worth.vector, type(task.look))
     result = FitResult(
         verdict=verdict.label,
         message="",
@@ -95,7 +96,7 @@ def judge(
         look=to_look(worth.vector, task.look),
         photos=tuple(
             replace(photo, response=response)
-            for photo, response in zip(photos, to_responses(worth.vector), strict=True)
+            for photo, response in zip(photos, responses, strict=True)
         ),
         left_out=(*left_out, *more, *held),
         misfits=worth.misfits,
@@ -130,7 +131,7 @@ class _Worth:
 
     @property
     def correlation(self) -> Float[np.ndarray, "t t"]:
-        # The identified tints add up to 3; a length of zero is a parameter that nothing can move.
+        # Factors of mean one are dependent; a length of zero is a parameter that nothing can move.
         lengths = np.where(self.stderr > 0, self.stderr, 1.0)
         found = np.clip(self.covariance / np.outer(lengths, lengths), -1, 1)
         np.fill_diagonal(found, 1.0)
@@ -151,7 +152,7 @@ def _worth(
     doubts = doubts_of(evidence, residuals, look_for_causes=debiased is None)
     covariance = rows @ along_free @ rows.T + doubts.covariance
     if point.problem.samples.mix is not None:
-        covariance = covariance + np.diag(grey_variance(point.problem.columns, identified, vector))
+        covariance = covariance + np.diag(grey_variance(point.problem, identified, vector))
     return _Worth(
         vector=vector,
         identified=identified,
@@ -213,10 +214,10 @@ def _verdict(task: Task, end: End) -> Verdict:
 
 
 def _identified(task: Task, end: End) -> list[FitParameter]:
-    """Free parameters and what is tied to them; a lone free tint is fixed by the mean."""
+    """Free parameters and what is tied to them; a lone free factor is fixed by the mean of one."""
     members = [q for p in end.free for q in followers(p, task.parameters)]
-    tints = sum(p.family == "tint" for p in members)
-    names = {p.name for p in members if p.family != "tint" or tints > 1}
+    factors = sum(p.mean_one for p in members)
+    names = {p.name for p in members if not p.mean_one or factors > 1}
     return [p for p in task.parameters if p.name in names]
 
 
@@ -252,7 +253,7 @@ def without_data(
             width_unit=float(layers.width_unit),
         )
         for px, c, layers, response in zip(
-            pixels, columns, task.layers, to_responses(start), strict=True
+            pixels, columns, task.layers, to_responses(start, type(task.look)), strict=True
         )
     ]
     result = FitResult(

@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from model_jax import InputError, Look, Response
+from model_jax._look import look_record
+from model_jax._parameter import PER_UNIT
 
 from ._numbers import measured, number
 
@@ -171,11 +173,11 @@ class FitResult:
     warnings: tuple[str, ...]
     """What makes the numbers less certain than they look; part of the message."""
     parameters: dict[str, Estimate]
-    """By name: brightness, shadow, tint.r … (per channel where the look is), exposure …"""
+    """By name: the look's (NAME.r … where it is a colour), then exposure …"""
     correlation_names: tuple[str, ...]
     """The parameters that have a standard error: rows and columns of the two matrices."""
     correlation: Float[np.ndarray, "p p"]
-    """Its rank is one less than its size when the three tints are free: their mean is 1."""
+    """Its rank is one less than its size when factors of mean one are free."""
     covariance: Float[np.ndarray, "p p"]
     """Block sandwich (`diagnose._spread`): residuals may be correlated and of any size. Of JPEGs
     the scatter of fits to pictures that were compressed alike (`diagnose._compression`)."""
@@ -217,7 +219,7 @@ class FitResult:
 
     @property
     def width_unit(self) -> float:
-        """Scene length that brightness refers to: the first photo's far - near."""
+        """Scene length that what is per width unit refers to: the first photo's far - near."""
         return self.photos[0].width_unit
 
     @property
@@ -246,9 +248,14 @@ class FitResult:
         return min(shares) if shares else None
 
     @property
-    def brightness_per_length(self) -> float:
-        """Brightness per scene length unit: what may be moved to a scene with other clip planes."""
-        return self.parameters["brightness"].value / self.width_unit
+    def per_length(self) -> dict[str, float]:
+        """What is per width unit, per scene length unit instead: that may be moved to a scene with
+        other clip planes."""
+        return {
+            name: e.value / self.width_unit
+            for name, e in self.parameters.items()
+            if e.unit == PER_UNIT
+        }
 
     def __str__(self) -> str:
         return self.report()
@@ -323,7 +330,8 @@ class FitResult:
             "message": self.message,
             "warnings": list(self.warnings),
             "parameters": {name: _estimate_dict(e) for name, e in self.parameters.items()},
-            "brightness_per_length": _number(self.brightness_per_length),
+            "look": look_record(self.look),
+            "per_length": {name: _number(value) for name, value in self.per_length.items()},
             "width_unit": _number(self.width_unit),
             "correlation": {
                 "names": list(self.correlation_names),

@@ -11,11 +11,12 @@ from ._choices import LossName
 from ._compile import float64
 from .diagnose._residuals import residuals_of, square_sum_of
 from .photo._pixels import Columns
+from .solve._layout import Layout
 from .solve._loss import Loss
 from .solve._model import Model, PriorTerm
 from .solve._parameters import FitParameter, to_entries
 from .solve._problem import Problem
-from .solve._samples import on_device, share_widths, to_samples
+from .solve._samples import on_device, share_fields, to_samples
 from .solve._search import End, search
 from .solve._task import Task
 
@@ -33,8 +34,8 @@ def make_problem(task: Task, columns: tuple[Columns, ...]) -> Problem:
     gammas = [p for p in task.parameters if p.family == "gamma"]
     linear = not any(p in free for p in gammas) and all(p.value == 1 for p in gammas)
     samples = to_samples(columns)
-    columns = share_widths(columns, samples)
-    model = Model(Loss("linear"), None, linear)
+    columns = share_fields(columns, samples)
+    model = Model(Loss("linear"), None, Layout(type(task.look)), linear)
     return Problem(columns, on_device(samples), task.parameters, model)
 
 
@@ -62,7 +63,7 @@ def search_in_rounds(
         with float64():
             priced = Loss(losses.pop() if losses else task.loss, jnp.asarray(noise))
         prior = _prior(asked, noise, len(start))
-        problem = replace(problem, model=Model(priced, prior, problem.model.linear))
+        problem = replace(problem, model=replace(problem.model, loss=priced, prior=prior))
         end = search(
             problem.rough(),
             start,

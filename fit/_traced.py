@@ -8,6 +8,7 @@ The end point solves `gradient = 0`, and optimistix's implicit adjoint different
 derivative of the fitted look by the photo, or by what is held fixed, costs one linear solve.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,32 +19,31 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Float, Int
 
-from model_jax import InputError, Layers, Look, Response, layer_widths
+from model_jax import FIELDS, RESPONSE_PARAMETERS, InputError, Layers, Look, Response
+from model_jax._fields import fields_of
+from model_jax._look import defaults
 from model_jax._shapes import AnyArray, is_traced
 
 from ._verdict import Verdict
 from .photo._pixels import block_numbers
 from .solve._descend import Atlas, Pass, make_solver, run
+from .solve._layout import Layout
 from .solve._loss import Loss, weigh
 from .solve._model import Model, predict, tile_slopes
 from .solve._parameters import (
-    BACKGROUND,
-    BRIGHTNESS,
-    LOOK_ENTRIES,
-    RESPONSE_ENTRIES,
-    SHADOW,
-    TINT,
     FitParameter,
     chart,
     free_directions,
-    settle_tint,
+    settle_shares,
+    shares_in,
     to_entries,
 )
 from .solve._samples import Samples, tile_at
 from .solve._scaled import unit_diagonal
+from .solve._starts import spread_starts
 
-SHADOWS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
-"""Shadow weights that a descent starts from; the one that ends lowest counts."""
+WEIGHTS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
+"""Weights of a separable look that a descent starts from; the one that ends lowest counts."""
 
 BLOCK = 16
 """Pixels across the blocks of the covariance: what a traced photo's residuals are is not known, and
@@ -77,7 +77,7 @@ def concrete(look: Look, response: Response) -> tuple[Look, Response]:
         default = type(record)()
         values = {
             name: getattr(default if is_traced(getattr(record, name)) else record, name)
-            for name in (f.name for f in record.__dataclass_fields__.values())
+            for name in (f.name for f in dataclasses.fields(record))
         }
         shapes = {name: np.shape(getattr(record, name)) for name in values}
         return type(record)(**{n: np.broadcast_to(v, shapes[n]) for n, v in values.items()})
@@ -104,18 +104,21 @@ def fit_traced(
         used: pixels that may be used, concrete.
     """
     free = [p for p in parameters if p.role == "free"]
+    layout = Layout(type(look))
     directions, _ = free_directions(free, parameters)
-    if not layers.has_shadow and any(p.family == "shadow" for p in free):
-        raise InputError("free: the layers hold no shadow; leave shadow out of free")
     dtype = jax.dtypes.canonicalize_dtype(float)
     photo = jnp.asarray(photo, dtype)
     index = np.flatnonzero(used)
-    samples = _samples(photo, layers, index)
+    samples = _samples(photo, layers, index, layout)
+    for p in free:
+        if p.needs is not None and p.needs not in samples.fields:
+            raise InputError(f"free: {FIELDS[p.needs].absent}; leave {p.family} out of free")
     linear = all(p.value == 1 and p.role == "fixed" for p in parameters if p.family == "gamma")
-    model = Model(Loss("linear"), None, linear)
-    start = settle_tint(to_entries(parameters), free, parameters)
-    fixed = _fixed(look, response, start, directions, dtype)
-    atlases = [_atlas(s, free, parameters, fixed, dtype) for s in _starts(start, free)]
+    model = Model(Loss("linear"), None, layout, linear)
+    start = settle_shares(to_entries(parameters), free, parameters)
+    fixed = _fixed(look, response, directions, dtype)
+    starts = _starts(start, free, parameters, layout)
+    atlases = [_atlas(s, free, parameters, fixed, dtype) for s in starts]
     atlas, step, finite = _best(atlases, samples, model, solver)
     step = _stationary(atlas, samples, model, step)
     entries = atlas.entries(step)
@@ -123,24 +126,23 @@ def fit_traced(
     covariance, code = _covariance_and_verdict(
         entries, directions, identified, samples, model, index, photo.shape, free, finite
     )
-    fitted, recorded = _records(entries, look)
+    fitted, recorded = _records(entries, look, layout)
     return TracedFit(
         fitted, recorded, covariance, code, _square_sum(entries, samples, model), names
     )
 
 
-def _samples(photo: AnyArray, layers: Layers, index: np.ndarray) -> Samples:
+def _samples(photo: AnyArray, layers: Layers, index: np.ndarray, layout: Layout) -> Samples:
     """All pixels as one tile; the weight says which samples count."""
     dtype = photo.dtype
-    lit, dark = layer_widths(layers)
+    fields = fields_of(layers, layout.kind.NEEDS)
     light = jnp.asarray(photo).reshape(-1, 3)[index]
     good = jnp.isfinite(light).all(axis=-1)
     surface = None
     if layers.surface is not None:
         surface = jnp.asarray(layers.surface, dtype).reshape(-1, 3)[index].T[None]
     return Samples(
-        lit=jnp.asarray(lit, dtype).reshape(-1)[index][None],
-        dark=None if dark is None else jnp.asarray(dark, dtype).reshape(-1)[index][None],
+        fields={n: jnp.asarray(f, dtype).reshape(-1)[index][None] for n, f in fields.items()},
         light=jnp.where(good[:, None], light, 0).T[None],
         surface=surface,
         clipped=None,
@@ -153,29 +155,27 @@ def _samples(photo: AnyArray, layers: Layers, index: np.ndarray) -> Samples:
     )
 
 
-def _fixed(
-    look: Look, response: Response, start: np.ndarray, directions: np.ndarray, dtype: Any
-) -> jax.Array:
+def _fixed(look: Look, response: Response, directions: np.ndarray, dtype: Any) -> jax.Array:
     """The vector of what is held, traced; 0 where something moves."""
-    parts = [
-        jnp.broadcast_to(jnp.asarray(value, dtype), (size,))
-        for value, size in (
-            (look.brightness, 1),
-            (look.shadow, 3),
-            (look.tint, 3),
-            (look.background, 3),
-            (response.exposure, 1),
-            (response.gamma, 1),
-            (response.black_level, 1),
-        )
-    ]
+    values = [(getattr(look, name), p.size) for name, p in type(look).PARAMETERS.items()]
+    values += [(getattr(response, name), 1) for name in RESPONSE_PARAMETERS]
+    parts = [jnp.broadcast_to(jnp.asarray(value, dtype), (size,)) for value, size in values]
     return jnp.where(directions.any(axis=1), 0, jnp.concatenate(parts))
 
 
-def _starts(start: np.ndarray, free: Sequence[FitParameter]) -> list[np.ndarray]:
-    entries = [e for p in free if p.family == "shadow" for e in p.entries]
+def _starts(
+    start: np.ndarray,
+    free: Sequence[FitParameter],
+    parameters: Sequence[FitParameter],
+    layout: Layout,
+) -> list[np.ndarray]:
+    """The given start and some beside it, of any look as many."""
+    fact = layout.kind.SEPARABLE
+    if fact is None:
+        return spread_starts(start, free, parameters)[: 1 + len(WEIGHTS)]
+    entries = [e for p in free if p.family == fact.weight for e in p.entries]
     found = [start]
-    for weight in SHADOWS if entries else ():
+    for weight in WEIGHTS if entries else ():
         vector = start.copy()
         vector[entries] = weight
         found.append(vector)
@@ -192,7 +192,7 @@ def _atlas(
     made = chart(start, free, parameters)
     p = len(made.start)
     moves = np.count_nonzero(made.matrix, axis=1) > 0
-    moves[TINT] |= (made.basis != 0).any(axis=1)
+    moves[shares_in(parameters)] |= (made.basis != 0).any(axis=1)
     return Atlas(
         base=jnp.where(moves, 0, fixed),
         matrix=jnp.asarray(made.matrix, dtype),
@@ -200,9 +200,10 @@ def _atlas(
         upper=jnp.asarray(made.upper, dtype),
         scale=jnp.asarray(made.scale, dtype),
         basis=jnp.asarray(made.basis, dtype),
-        tint_total=jnp.asarray(made.tint_total, dtype),
+        total=jnp.asarray(made.total, dtype),
         start=jnp.asarray(made.start, dtype),
         whiten=jnp.eye(p, dtype=dtype),
+        shares=made.shares,
     )
 
 
@@ -210,7 +211,7 @@ def _best(
     atlases: list[Atlas], samples: Samples, model: Model, solver: str
 ) -> tuple[Atlas, jax.Array, jax.Array]:
     """The descent that ends lowest: its atlas, its step, and whether it is finite."""
-    dtype = samples.lit.dtype
+    dtype = samples.like.dtype
     tolerance = 64 * float(jnp.finfo(dtype).eps)
     size = jnp.sqrt((samples.light**2).sum())
     size = jnp.where(size > 0, size, 1)
@@ -260,7 +261,7 @@ def _stationary(atlas: Atlas, samples: Samples, model: Model, step: jax.Array) -
 
 def _square_sum(entries: jax.Array, samples: Samples, model: Model) -> jax.Array:
     tile = tile_at(samples, jnp.array(0))
-    cost, _, _ = weigh(predict(entries, tile, model.linear) - tile.light, None, model.loss)
+    cost, _, _ = weigh(predict(entries, tile, model) - tile.light, None, model.loss)
     return (cost * tile.weight[None]).sum()
 
 
@@ -278,7 +279,7 @@ def _covariance_and_verdict(
     """Covariance and verdict code."""
     dtype = entries.dtype
     tile = tile_at(samples, jnp.array(0))
-    predicted, slopes = tile_slopes(entries, jnp.asarray(directions, dtype), tile, model.linear)
+    predicted, slopes = tile_slopes(entries, jnp.asarray(directions, dtype), tile, model)
     residual = (predicted - tile.light) * tile.weight[None]
     slopes = slopes * tile.weight[None, None]
     scores = jnp.einsum("icn,cn->ni", slopes, residual)
@@ -291,7 +292,7 @@ def _covariance_and_verdict(
     # Along what stands at a bound and would go beyond, nothing is promised and nothing is told.
     stuck = jnp.zeros(p, bool)
     for k, q in enumerate(free):
-        if q.family != "tint":
+        if not q.mean_one:
             moves = jnp.asarray(directions[q.entries[0]] != 0)
             stuck |= moves & (near[k] != 0) & (near[k] * gradient > 0)
     either = stuck[None] | stuck[:, None]
@@ -341,14 +342,9 @@ def _identified(
     return rows, tuple(p.name for p in moved)
 
 
-def _records(entries: jax.Array, like: Look) -> tuple[Look, Response]:
-    def part(values: jax.Array, old: Any) -> jax.Array:
-        return values if np.shape(old) else values[0]
+def _records(entries: jax.Array, like: Look, layout: Layout) -> tuple[Look, Response]:
+    def part(value: jax.Array, old: Any) -> jax.Array:
+        return value if np.shape(old) or not np.ndim(value) else value[0]
 
-    look = Look(
-        entries[BRIGHTNESS],
-        part(entries[SHADOW], like.shadow),
-        entries[TINT],
-        part(entries[BACKGROUND], like.background),
-    )
-    return look, Response(*entries[LOOK_ENTRIES : LOOK_ENTRIES + RESPONSE_ENTRIES])
+    values = {n: part(v, getattr(like, n)) for n, v in layout.values(entries).items()}
+    return defaults(layout.kind, values), Response(*layout.responses(entries)[0])

@@ -3,7 +3,7 @@
 The ground floor of airlight: it knows no files, no OpenGL, no photos and no solvers. Typical use:
 
     layers = analytic_layers(scene)
-    picture = combine(layers, Look(brightness=3.0, shadow=0.2))
+    picture = combine(layers, LayersLook(brightness=3.0, shadow=0.2))
 """
 
 import lazy_loader

@@ -226,7 +226,7 @@ def linearize_depth(
 
     Raises `InputError` for an unknown encoding and impossible planes, where not traced.
 
-    Twin: `linearize_depth` in `combine.glsl`.
+    Twin: `linearize_depth` in `fields.glsl`.
     """
     _need_coding(encoding, near, far, constant)
     depth = as_jax("depth", depth)

@@ -1,49 +1,241 @@
-"""How layers are coloured: the look's parameters, what each means and its limits.
+"""What a look is: parameters, the fields it asks for, and the light it makes of them.
 
-`Look` owns the defaults of the combine contract (3.0 and 0.2, from the paper's pixel shader); the
-shader gets them as uniforms and holds no copy. `PARAMETERS` says of each what a fit, a report and a
-command line need to know.
+    class Haze(Look):
+        \"\"\"Air that saturates as it thickens.\"\"\"
+
+        brightness: Scalar = parameter("light of thick air", default=1.0, lower=0.0)
+        NEEDS = ("width",)
+        ROUNDINGS = (4.0, 6.0)
+
+        def air(self, fields):
+            return 1 - jnp.exp(-self.brightness * fields.color * fields.width), None
+
+Scene keys, uniforms, defaults, names on the command line, bounds, the fit's vector, report rows and
+exports are computed from these (`docs/add-a-look.md`).
 """
+
+import dataclasses
+import inspect
+import math
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 from ._errors import InputError, shown
-from ._parameter import PARAMETERS
+from ._fields import Fields
+from ._parameter import RESPONSE_PARAMETERS, Parameter, Shape
 from ._shapes import Scalar, Three, converter
+
+Blend = Literal["add", "over", "premultiplied"]
+"""How light and its alpha lie over the surface: `surface + light`, `surface (1 - alpha) + light
+alpha` (the traditional blend), or `surface (1 - alpha) + light`."""
+
+_ABOUT = "airlight"  # where a dataclass field keeps its `Parameter`
+
+L = TypeVar("L", bound="Look")
+
+
+class _Convert:
+    """A field's converter, which learns its name once its class exists."""
+
+    name = "look"
+
+    def __call__(self, value: object) -> Any:
+        return converter(self.name)(value)
+
+
+def parameter(
+    meaning: str,
+    *,
+    default: float | tuple[float, ...],
+    unit: str = "1",
+    lower: float = -math.inf,
+    upper: float = math.inf,
+    scale: float = 1.0,
+    shape: Shape = "number",
+    mean_one: bool = False,
+    of: str | None = None,
+    source: str = "",
+) -> Any:
+    """A parameter of a look, as the value of an annotated field of its class.
+
+    Args:
+        meaning: for reports, without a full stop.
+        default: a number, or as many as the shape says; within the range.
+        unit, lower, upper, scale, shape, mean_one, of, source: as `Parameter` says.
+    """
+    about = Parameter(meaning, unit, lower, upper, default, scale, shape, mean_one, of, source)
+    return eqx.field(default=default, converter=_Convert(), metadata={_ABOUT: about})
+
+
+@dataclasses.dataclass(frozen=True)
+class Separable:
+    """A fact that spares a fit its search: with gamma 1 the light of a channel is
+
+        amplitude · color · factors · (first + weight · second)
+
+    so that given the weight all else is a linear least squares problem (`fit.solve._separable`).
+    """
+
+    amplitude: str
+    """A parameter, one number."""
+    factors: str
+    """A parameter with a mean of one, three numbers."""
+    weight: str
+    """A parameter, one number or three."""
+    first: str
+    second: str
+    """Fields; the second may be absent."""
 
 
 class Look(eqx.Module):
-    """Parameters of the combine; a pytree, so that losses can be differentiated by it."""
+    """Parameters of how air is coloured; a pytree, so that losses can be differentiated by it.
 
-    brightness: Scalar = eqx.field(
-        converter=converter("look.brightness"), default=PARAMETERS["brightness"].default
-    )
-    """Light per width unit of lit air, multiplying the scene's colour; ≥ 0."""
-    shadow: Scalar | Three = eqx.field(
-        converter=converter("look.shadow"), default=PARAMETERS["shadow"].default
-    )
-    """Light of shadowed air as a share of lit air, one number or one per channel; ≥ 0."""
-    tint: Three = eqx.field(converter=converter("look.tint"), default=(1.0, 1.0, 1.0))
-    """Factor per channel on the scene's colour. A fit keeps its mean at 1, so that brightness and
-    tint are separate numbers; the combine takes it as it is."""
+    A look is a subclass with a field for each parameter (`parameter`), the facts below, and `air`.
+    """
+
+    NAME: ClassVar[str] = ""
+    """As in scene files and on command lines; of the class's name unless given."""
+    PARAMETERS: ClassVar[dict[str, Parameter]] = {}
+    """Every parameter by its field name, in the order reports show them; made from the fields."""
+    NEEDS: ClassVar[tuple[str, ...]] = ()
+    """Fields that `air` asks for, names of `FIELDS`: passes and read-backs follow from them."""
+    LINEAR_IN: ClassVar[tuple[str, ...]] = ()
+    """Fields in which the light is linear, all others held; sums over pixels can then stand for
+    them, if these are all that it needs and it has no transmittance."""
+    ROUNDINGS: ClassVar[tuple[float, float]] = (0.0, 0.0)
+    """Rounding errors that both sides' arithmetic between fields and light can make, in ulp of the
+    light itself, and in ulp of 1, where a formula subtracts from 1; of the transmittance likewise.
+    For the bound of the cross-check."""
+    BLEND: ClassVar[Blend] = "add"
+    """What is done with the light's alpha, if `air` returns one."""
+    SEPARABLE: ClassVar[Separable | None] = None
+    GLSL: ClassVar[str | None] = None
+    """Text of its twin; None: the file NAME.glsl beside the module."""
+
     background: Scalar | Three = eqx.field(
-        converter=converter("look.background"), default=PARAMETERS["background"].default
+        default=0.0,
+        converter=_Convert(),
+        kw_only=True,
+        metadata={
+            _ABOUT: Parameter(
+                "light added to every pixel",
+                "linear light",
+                -math.inf,
+                math.inf,
+                0.0,
+                scale=0.01,
+                shape="either",
+            )
+        },
     )
-    """Light added to every pixel (sky glow, black level), one number or one per channel."""
+    """Light added to every pixel (sky glow, black level), one number or one per channel; the
+    frame's, whatever the look."""
+
+    if TYPE_CHECKING:  # which parameters a look has only its class knows
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        if not cls.__dict__.get("NAME"):
+            cls.NAME = cls.__name__.removesuffix("Look").lower() or "look"
+        annotated = inspect.get_annotations(cls)
+        own = {}
+        for name, value in cls.__dict__.items():
+            if isinstance(value, dataclasses.Field) and _ABOUT in value.metadata:
+                if name not in annotated:
+                    raise InputError(
+                        f"look {cls.NAME}: {name} has no annotation; write {name}: Scalar = "
+                        "parameter(…)"
+                    )
+                own[name] = _named(cls.NAME, name, value)
+        cls.PARAMETERS = own | cls.PARAMETERS
+
+    @abstractmethod
+    def air(self, fields: Fields) -> tuple[Any, Any]:
+        """Light of the air, and how much of what lies behind passes it.
+
+        The parameters broadcast with the fields: numbers and colours have the fields' rank and
+        dtype here; tables are as they are.
+
+        Args:
+            fields: what `NEEDS` names, [..., 1] each, and the air's `color` [..., 3].
+
+        Returns:
+            light [..., 3], or [..., 4] with its alpha; transmittance [..., 3] or [..., 1] in
+            [0, 1], or None where all passes: then it is not multiplied.
+        """
 
     def __check_init__(self) -> None:
-        shapes: dict[str, list[tuple[int, ...]]] = {"brightness": [()], "tint": [(3,)]}
-        for name, info in PARAMETERS.items():
+        for name, about in type(self).PARAMETERS.items():
             value = getattr(self, name)
-            allowed = shapes.get(name, [(), (3,)])
-            if np.shape(value) not in allowed:
-                forms = " or ".join("three numbers" if shape else "one number" for shape in allowed)
+            if np.shape(value) not in about.shapes:
+                forms = " or ".join(_form(shape) for shape in about.shapes)
                 raise InputError(f"look.{name}: {shown(value)} must be {forms}")
             if isinstance(value, jax.core.Tracer):
                 continue
             if not np.all(np.isfinite(value)):
                 raise InputError(f"look.{name}: {shown(value)} must be finite")
-            if np.any(np.asarray(value) < info.lower):
-                raise InputError(f"look.{name}: {shown(value)} must be at least {info.lower:g}")
+            if np.any(np.asarray(value) < about.lower):
+                raise InputError(f"look.{name}: {shown(value)} must be at least {about.lower:g}")
+            # Above its range a factor of mean one is bounded by the others, which a fit knows.
+            if not about.mean_one and np.any(np.asarray(value) > about.upper):
+                raise InputError(f"look.{name}: {shown(value)} must be at most {about.upper:g}")
+
+
+def broadcast(look: L, rank: int, dtype: DTypeLike) -> L:
+    """The look with numbers and colours as arrays that multiply fields of a rank."""
+    names = [n for n, p in type(look).PARAMETERS.items() if not isinstance(p.shape, int)]
+    shape = (1,) * (rank - 1) + (-1,)
+    values = [jnp.asarray(getattr(look, name), dtype).reshape(shape) for name in names]
+    return eqx.tree_at(lambda part: [getattr(part, name) for name in names], look, values)
+
+
+def look_record(look: Look) -> dict[str, Any]:
+    """Which look it is, as plain JSON data, and what an export has to know of it."""
+    kind = type(look)
+    return {
+        "kind": kind.NAME,
+        "light": (kind.__doc__ or "").strip().split("\n")[0],
+        "shapes": {name: about.shape for name, about in kind.PARAMETERS.items()},
+    }
+
+
+def _named(look: str, name: str, field: Any) -> Parameter:
+    """The parameter of a field, once its converter knows its name and it is possible."""
+    about: Parameter = field.metadata[_ABOUT]
+    field.metadata["converter"].name = f"look.{name}"
+    where = f"look {look}: parameter {name}"
+    if name in (*RESPONSE_PARAMETERS, "kind"):  # `kind` is the key of scene files
+        raise InputError(f"{where} has a name that is taken; give it another")
+    if np.shape(about.default) not in about.shapes:
+        forms = " or ".join(_form(shape) for shape in about.shapes)
+        raise InputError(f"{where} has the default {shown(about.default)}; give {forms}")
+    if not about.lower < about.upper:
+        raise InputError(f"{where} has no room between {about.lower:g} and {about.upper:g}")
+    return about
+
+
+Look.PARAMETERS = {
+    "background": _named("look", "background", vars(Look)["__dataclass_fields__"]["background"])
+}
+# Subclasses put their own before it.
+
+
+def _form(shape: tuple[int, ...]) -> str:
+    if not shape:
+        return "one number"
+    return "three numbers" if shape == (3,) else f"{shape[0]} numbers"
+
+
+def defaults(kind: type[L], values: dict[str, Any] | None = None) -> L:
+    """A look of a kind, at its defaults but for the given values."""
+    make: Callable[..., L] = kind
+    return make(**(values or {}))

@@ -1,36 +1,56 @@
-"""What there is to know of each number that a fit can tell: meaning, unit, range, default.
+"""What there is to know of a number that a fit can tell: meaning, unit, range, default.
 
-Reports, exports and command lines read these tables without JAX, which takes seconds to import.
+Reports, exports and command lines read these records without JAX, which takes seconds to import.
 """
 
 import math
 from dataclasses import dataclass
+from typing import Literal
+
+Shape = Literal["number", "rgb", "either"] | int
+"""One number; three; one or three, as given; or a table of so many."""
+
+
+PER_UNIT = "1/width_unit"
+"""Unit of what is per unit of width: in another scene it is another number."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """What there is to know of a look parameter besides its value."""
+    """What there is to know of a parameter besides its value."""
 
     meaning: str
     unit: str
+    """As in reports; `PER_UNIT` of what hangs on the clip planes, which widths refer to."""
     lower: float
     upper: float
-    default: float
+    """Closed range of allowed values; infinite where there is no bound."""
+    default: float | tuple[float, ...]
     scale: float = 1.0
     """Typical size, where a start of zero says nothing about it."""
+    shape: Shape = "number"
+    mean_one: bool = False
+    """Three factors on another parameter: a fit keeps their mean at 1, so that the two are told
+    apart."""
+    of: str | None = None
+    """The field of `model_jax.FIELDS` without which it has no effect."""
+    source: str = ""
+    """Where the default comes from: a document, a table, a measurement."""
 
+    @property
+    def size(self) -> int:
+        """Numbers that it is made of, at most."""
+        return self.shape if isinstance(self.shape, int) else 1 if self.shape == "number" else 3
 
-PARAMETERS: dict[str, Parameter] = {
-    "brightness": Parameter(
-        "light per width unit of lit air, times colour", "1/width_unit", 0.0, math.inf, 3.0
-    ),
-    "shadow": Parameter("light of shadowed air as a share of lit air", "1", 0.0, math.inf, 0.2),
-    "tint": Parameter("factor on the air's colour, mean 1 over the channels", "1", 0.0, 3.0, 1.0),
-    "background": Parameter(
-        "light added to every pixel", "linear light", -math.inf, math.inf, 0.0, scale=0.01
-    ),
-}
-"""Every parameter of `Look` by its field name, in the order reports show them."""
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Shapes that a value may have."""
+        if isinstance(self.shape, int):
+            return [(self.shape,)]
+        known: dict[str, list[tuple[int, ...]]]
+        known = {"number": [()], "rgb": [(3,)], "either": [(), (3,)]}
+        return known[self.shape]
+
 
 RESPONSE_PARAMETERS: dict[str, Parameter] = {
     "exposure": Parameter("factor on all light that reaches the camera", "1", 0.0, math.inf, 1.0),

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ._analytic import bands, ray_stretch, trace_view
-from ._combine import layer_widths
+from ._fields import layer_widths
 from ._kinds import need, need_number
 from ._layers import Layers
 from ._scene import Scene

@@ -26,6 +26,8 @@ class Frame:
     """Light of the planet; None where it has no albedo."""
     planet: Float[np.ndarray, "h w"]
     """1 where the planet was drawn."""
+    transmittance: Float[np.ndarray, "h w 3"] | None = None
+    """How much of what lies behind passes the air; None where the look says nothing of it."""
 
 
 def assign_uniforms(shader: "moderngl.Program", values: dict[str, Any]) -> None:

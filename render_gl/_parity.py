@@ -4,16 +4,17 @@ Both read the very same float32 depths, so only arithmetic differs. With ε = 2�
 relative) and e = the driver's worst error of a division in ulp:
 
     depth     each linearised depth may differ by e ulp. Equal inputs give equal outputs, so a
-              depth that cancels exactly, as clamped shadow depths do, contributes nothing. In rgb
-              remains brightness·color/unit · (e ulp(back) + e ulp(front)), and where there is
-              shadow, |1 - shadow| · (e ulp(shadow back) + e ulp(shadow front)).
-    rounding  division by the unit (GLSL 4.60 §4.7.1: 2.5 ulp; JAX ½), and ½ ulp on either side
-              for each of the two sums, the products by shadow, tint, colour and brightness and
-              the two differences of depths: 3 + 8·1 = 11 ulp of rgb's own size. Each further
-              shadow adds a difference and a sum to both widths, one ulp each. Lengths along rays
-              add 8: of the slope 1½ on either side, which its square doubles and the root halves,
-              the squares and their sum 1, the root 2½ + 2 (an inverse square root's), a product
-              of ½ on either side.
+              depth that cancels exactly, as clamped shadow depths do, contributes nothing. In the
+              width of the air remains e ulp(back) + e ulp(front), and of each shadow e ulp(shadow
+              back) + e ulp(shadow front) passes from lit to dark. What that does to the light is
+              the look's slope by its fields, to first order: a width is off by 10⁻³ at most.
+    width     the division by the unit (GLSL 4.60 §4.7.1: 2.5 ulp; JAX ½), the two differences of
+              depths and their sum with ½ ulp on either side, 6 ulp of a width. Each further shadow
+              adds a difference and a sum to both widths, one ulp each. Lengths along rays add 8: of
+              the slope 1½ on either side, which its square doubles and the root halves, the squares
+              and their sum 1, the root 2½ + 2 (an inverse square root's), a product of ½ on either
+              side. They do to the light what its slope says.
+    look      what the look says of its own arithmetic (`ROUNDINGS`).
 
 The specification allows e = 2.5 against JAX's ½, together 3. Drivers differ (llvmpipe has divided
 by approximate reciprocals on some processors), so e is measured on the driver at hand: 65,536
@@ -24,10 +25,15 @@ correctly rounded e is 0; else it is the largest error found plus 1, and at most
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import DriverError, Look, Scene, combine, depth_constants, linearize_depth
+from model_jax import DriverError, Layers, Look, Scene, combine, depth_constants, linearize_depth
+from model_jax._composite import air_light
+from model_jax._fields import WIDTHS, fields_of
+from model_jax._shapes import AnyArray
 
 from ._context import on_gl
 from ._depth_format import EPS, STORAGE, DepthFormat
@@ -38,7 +44,7 @@ from ._shaders import program
 if TYPE_CHECKING:
     import moderngl
 
-ROUNDINGS = 11
+WIDTH_ROUNDINGS = 6
 STRETCH_ROUNDINGS = 8
 SPECIFIED_DIVISION = 3.0
 """ulp, counted above."""
@@ -46,19 +52,25 @@ PROBES = 256
 """Rows and columns of quotients that are tried on the driver."""
 
 
+CHANNELS = ("R", "G", "B", "A", *(f"transmittance {c}" for c in "RGB"))
+
+
 @dataclass(frozen=True)
 class Parity:
-    """GLSL and JAX pictures of the same depths, and the verdict on their difference."""
+    """GLSL and JAX pictures of the same depths, and the verdict on their difference.
 
-    glsl: Float[np.ndarray, "h w 4"]
-    jax: Float[np.ndarray, "h w 4"]
-    bound: Float[np.ndarray, "h w 4"]
+    Channels are light, alpha and, of a look that dims what lies behind, the transmittance.
+    """
+
+    glsl: Float[np.ndarray, "h w c"]
+    jax: Float[np.ndarray, "h w c"]
+    bound: Float[np.ndarray, "h w c"]
     """Largest difference that arithmetic explains, per pixel and channel."""
     division_ulp: float
     """What the bound takes for the error of a division of depths, ulp."""
 
     @property
-    def difference(self) -> Float[np.ndarray, "h w 4"]:
+    def difference(self) -> Float[np.ndarray, "h w c"]:
         return self.glsl.astype(np.float64) - self.jax.astype(np.float64)
 
     @property
@@ -88,7 +100,7 @@ class Parity:
             "worst_pixel": {
                 "row": int(worst[0]),
                 "column": int(worst[1]),
-                "channel": "RGBA"[worst[2]],
+                "channel": CHANNELS[worst[2]],
                 "glsl": float(self.glsl[worst]),
                 "jax": float(self.jax[worst]),
                 "bound": float(self.bound[worst]),
@@ -104,35 +116,79 @@ def compare(
     `division_ulp`: error of a division of depths (`measure_division`); unused for linear depths.
     """
     layers = frame_layers(scene, frame, depth_format)
+    division = 0.0 if STORAGE[depth_format].encoding == "linear" else division_ulp
     picture = np.asarray(combine(layers, look))
-    color = np.asarray(layers.color)[:3] * np.asarray(look.tint)
-    shadow = np.broadcast_to(look.shadow, 3)
-    weight = float(look.brightness) * color / float(layers.width_unit)
-    # |lit| + shadow |dark| bounds every intermediate of the colour arithmetic.
-    further = max(len(frame.shadows) - 1, 0)
-    roundings = ROUNDINGS + 4 * further + STRETCH_ROUNDINGS * (layers.stretch is not None)
-    bound = roundings * EPS * np.abs(picture[..., :3].astype(np.float64))
-    linear = STORAGE[depth_format].encoding == "linear"
-    if not linear and division_ulp > 0:
-        front, back = np.asarray(layers.front), np.asarray(layers.back)
-        ulps = (np.spacing(np.abs(front)) + np.spacing(np.abs(back))).astype(np.float64)
-        spread = ulps[..., None] * np.ones(3)
-        if layers.shadow_front is not None and layers.shadow_back is not None:
-            ends = (np.asarray(layers.shadow_front), np.asarray(layers.shadow_back))
-            low, high = (np.clip(np.reshape(e, (-1, *front.shape)), front, back) for e in ends)
-            edge = np.where(high != low, np.spacing(np.abs(low)) + np.spacing(np.abs(high)), 0.0)
-            spread = spread + np.abs(1 - shadow) * np.sum(edge, axis=0)[..., None]
-        bound = (
-            bound + division_ulp * weight * np.where(front != back, 1.0, 0.0)[..., None] * spread
-        )
+    fields = fields_of(layers, type(look).NEEDS)
+    light, passed, slopes = _slopes(look, fields, layers)
+    of_light, of_passed = _field_bounds(fields, slopes, layers, division)
+    own, of_one = type(look).ROUNDINGS
     tiny = np.finfo(np.float32).tiny  # drivers may flush denormals to zero
-    alpha = np.full((*bound.shape[:2], 1), EPS)
-    return Parity(
-        glsl=frame.air,
-        jax=picture,
-        bound=np.concatenate([bound + tiny, alpha], axis=-1),
-        division_ulp=0.0 if linear else division_ulp,
-    )
+    glsl, twin = [frame.air], [picture]
+    bounds = [of_light + EPS * (own * np.abs(light) + of_one) + tiny]
+    # An alpha of the look's own is a share of 1, as a transmittance is.
+    bounds.append(np.full((*light.shape[:2], 1), EPS * max(1.0, of_one)))
+    if frame.transmittance is not None:
+        glsl.append(frame.transmittance)
+        twin.append(np.where(np.asarray(layers.has_air)[..., None], passed, 1).astype(np.float32))
+        bounds.append(of_passed + EPS * (own * np.abs(passed) + of_one) + tiny)
+    drawn, expected, bound = (np.concatenate(p, axis=-1) for p in (glsl, twin, bounds))
+    return Parity(drawn, expected, bound, division)
+
+
+Slopes = dict[str, tuple[np.ndarray, np.ndarray]]
+"""By field: slopes of light and transmittance, [h, w, 3] each."""
+
+
+def _slopes(
+    look: Look, fields: dict[str, AnyArray], layers: Layers
+) -> tuple[np.ndarray, np.ndarray, Slopes]:
+    """Light and transmittance of a look [h, w, 3], and their slopes."""
+    color = np.asarray(layers.color)[:3]
+
+    def looked(fields: dict[str, AnyArray]) -> tuple[AnyArray, AnyArray]:
+        air = air_light(look, fields, color)
+        passed = jnp.ones(()) if air.transmittance is None else air.transmittance
+        return air.light, jnp.broadcast_to(passed, air.light.shape)
+
+    slopes: Slopes = {}
+    for name in fields:
+        ones = {n: jnp.full_like(f, float(n == name)) for n, f in fields.items()}
+        _, found = jax.jvp(looked, (fields,), (ones,))
+        slopes[name] = (np.asarray(found[0], np.float64), np.asarray(found[1], np.float64))
+    light, passed = (np.asarray(part, np.float64) for part in looked(fields))
+    return light, passed, slopes
+
+
+def _field_bounds(
+    fields: dict[str, AnyArray], slopes: Slopes, layers: Layers, division_ulp: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """What errors of the fields do to light and transmittance, [h, w, 3] each."""
+    front, back = np.asarray(layers.front), np.asarray(layers.back)
+    begin, end = layers.shadow_front, layers.shadow_back
+    several = np.ndim(begin) > 2 if begin is not None else False
+    roundings = WIDTH_ROUNDINGS + STRETCH_ROUNDINGS * (layers.stretch is not None)
+    roundings += 4 * (len(np.asarray(begin)) - 1) if several else 0
+    scale = 1.0 if layers.stretch is None else np.asarray(layers.stretch, np.float64)
+    scale = scale / float(layers.width_unit) * np.where(front != back, division_ulp, 0.0)
+    ends = scale * (np.spacing(np.abs(front)) + np.spacing(np.abs(back)))
+    edges = np.zeros(front.shape)
+    if begin is not None and end is not None:
+        depths = (np.asarray(begin), np.asarray(end))
+        low, high = (np.clip(np.reshape(d, (-1, *front.shape)), front, back) for d in depths)
+        ulps = np.spacing(np.abs(low)) + np.spacing(np.abs(high))
+        edges = scale * np.sum(np.where(high != low, ulps, 0.0), axis=0)
+    found = []
+    for k in (0, 1):
+        nothing = np.zeros((*front.shape, 1))
+        by = {name: slopes[name][k] if name in slopes else nothing for name in WIDTHS}
+        sizes = {name: np.abs(np.asarray(fields[name])) for name in WIDTHS if name in fields}
+        rounded = sum((np.abs(by[n]) * size[..., None] for n, size in sizes.items()), nothing)
+        found.append(
+            roundings * EPS * rounded
+            + np.abs(by["width"] + by["lit"]) * ends[..., None]
+            + np.abs(by["lit"] - by["dark"]) * edges[..., None]
+        )
+    return found[0], found[1]
 
 
 def measure_division(scene: Scene, depth_format: DepthFormat) -> float:

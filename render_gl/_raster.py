@@ -24,14 +24,16 @@ import numpy as np
 from jaxtyping import Float
 
 from model_jax import InputError, Look, Scene, shadows_in_view, view_of
+from model_jax._fields import uses_shadow
 from model_jax._view import Aim, ShadowCone
 
 from ._choices import Source
 from ._depth_format import Storage
 from ._frame import Frame, assign_uniforms
+from ._looks import look_text
 from ._maps import upload_maps
 from ._mesh import Mesh, shadow_mesh, sphere_mesh
-from ._shaders import program
+from ._shaders import look_program, program
 from ._uniforms import aim_uniforms, cone_uniforms, defines_of, plane_codes, uniforms_of
 
 if TYPE_CHECKING:
@@ -71,12 +73,14 @@ class Passes:
         """Rows of the picture below it."""
         self.exact = source == "raster"
         self.view = view_of(scene)
-        cones = zip(self.view.cones, shadows_in_view(scene), strict=True)
+        self.look = type(look)
+        shaded = uses_shadow(self.look.NEEDS)
+        cones = zip(self.view.cones, shadows_in_view(scene), strict=True) if shaded else ()
         self.cones = [cone for cone, seen in cones if seen]
-        """Shadows with air in view."""
+        """Shadows with air in view, if the look asks for them."""
         self.uniforms = uniforms_of(scene, look, storage.encoding)
         self.near, self.empty = plane_codes(scene, storage.encoding)
-        self.defines = defines_of(scene, storage, len(self.cones))
+        self.defines = defines_of(scene, self.look, storage, len(self.cones))
         self.fine = scene.planet.relief is not None or not self.exact
         """Whether the ground's mesh is its shape."""
         mesh = sphere_mesh(scene.planet.triangles if self.fine else COVER_TRIANGLES)
@@ -85,6 +89,11 @@ class Passes:
         self.cover, self.cover_radius = self._upload(cover), cover.inner_radius
         self.shell = float(self.view.shell)
         self.position = np.asarray(scene.camera.position) / float(scene.planet.radius)
+
+    @property
+    def transmits(self) -> bool:
+        """Whether the look dims what lies behind the air by more than alpha."""
+        return "TRANSMITS" in self.defines
 
     @property
     def colored(self) -> bool:
@@ -102,6 +111,7 @@ class Passes:
         lit = self.scene.planet.albedo is not None
         surface = np.empty((*size, 3), np.float32) if lit else None
         planet = np.empty(size, np.float32)
+        passed = np.empty((*size, 3), np.float32) if self.transmits else None
         maps = upload_maps(self.context, self.scene)
         for self.bottom in range(0, height, rows):
             self.size = (width, min(rows, height - self.bottom))
@@ -109,7 +119,11 @@ class Passes:
             atlas = self.shadow() if self.cones else None
             ground, behind = self.planet(maps)
             self.shell_back(behind)
-            air[band], front[band], back[band] = map(_read, self.combine(behind, atlas))
+            air[band], front[band], back[band], *dimmed = map(
+                _read, self.combine(behind, atlas, ground)
+            )
+            if passed is not None:
+                passed[band] = dimmed[0][..., :3]
             if atlas is not None:
                 # Volume by volume from below, each with its rows from below.
                 seen = self._seen(atlas).reshape(-1, 2, self.size[1], width)
@@ -123,7 +137,7 @@ class Passes:
             # What the combine shader does with a back that has no front (see there).
             nearer = np.maximum if self.storage.encoding == "reversed" else np.minimum
             shadows[:, 0] = nearer(shadows[:, 0], shadows[:, 1])
-        return Frame(air, front, back, shadows, surface, planet)
+        return Frame(air, front, back, shadows, surface, planet, passed)
 
     def _band_rows(self) -> int:
         """Rows of a band: even, for derivatives are taken in squares of pixels."""
@@ -224,15 +238,21 @@ class Passes:
             self._volume(self.sphere, "depth.frag", self.shell)
         self.context.blend_equation = moderngl.FUNC_ADD
 
-    def combine(self, behind: Any, atlas: Any | None) -> tuple[Any, Any, Any]:
+    def combine(self, behind: Any, atlas: Any | None, ground: Any) -> list[Any]:
         """Pass 5: the combine shader over the shell, or the screen for a camera inside its mesh."""
         air = self.context.texture(self.size, 4, dtype="f4")
         depths = [self.context.texture(self.size, 1, dtype="f4") for _ in range(2)]
         self.context.framebuffer([air]).clear()
         self.context.framebuffer(depths).clear(*[self.empty] * 4)
-        self._target([air, *depths]).use()
+        more = [self.context.texture(self.size, 4, dtype="f4")] if self.transmits else []
+        for texture in more:
+            self.context.framebuffer([texture]).clear(1.0, 1.0, 1.0, 1.0)
+        self._target([air, *depths, *more]).use()
         units: dict[str, Any] = {"planet_atmosphere": 0, "band_rows": self.size[1]}
         self._bind(behind, 0)
+        if "planet" in self.look.NEEDS:
+            ground.use(2)
+            units["ground"] = 2
         if atlas is not None:
             self._bind(atlas, 1)
             units["shadow_depths"] = 1
@@ -244,7 +264,7 @@ class Passes:
             self._screen("combine.frag", **units)
         else:
             self._volume(self.sphere, "combine.frag", self.shell, **units)
-        return air, *depths
+        return [air, *depths, *more]
 
     def _seen(self, atlas: Any) -> Float[np.ndarray, "rows w"]:
         """What a shader reads in a depth texture, from below."""
@@ -315,7 +335,7 @@ class Passes:
         origin: tuple[float, ...] = (0.0, 0.0, 0.0),
         **more: Any,
     ) -> None:
-        shader = program("volume.vert", fragment, self.defines)
+        shader = self._program("volume.vert", fragment, self.defines)
         self._render(geometry, shader, size=size, origin=origin, **more)
 
     def _bounded(
@@ -339,7 +359,8 @@ class Passes:
         size = (radius + COVER_PIXELS * self._footprint(distance + radius)) / self.cover_radius
         if distance < 1.1 * size:
             size = 1.2 * distance / self.cover_radius + size
-        shader = program("volume.vert", fragment, self.defines | (defines or {}) | {"EXACT": 1})
+        defines = self.defines | (defines or {}) | {"EXACT": 1}
+        shader = self._program("volume.vert", fragment, defines)
         found = aim_uniforms(self.scene.camera, aim, radius) | {"first_row": self.bottom}
         found |= {"origin": (0.0, 0.0, 0.0), "size": size}
         self._render(self.cover, shader, **(found | more))
@@ -352,9 +373,14 @@ class Passes:
         return float(pixel * distance * (1 + slope**2))
 
     def _screen(self, fragment: str, **more: Any) -> None:
-        shader = program("screen.vert", fragment, self.defines)
+        shader = self._program("screen.vert", fragment, self.defines)
         assign_uniforms(shader, self.uniforms | more)
         self.context.vertex_array(shader, []).render(vertices=3)
+
+    def _program(self, vertex: str, fragment: str, defines: dict[str, int]) -> Any:
+        if fragment != "combine.frag":
+            return program(vertex, fragment, defines)
+        return look_program(vertex, fragment, defines, self.look.NAME, look_text(self.look))
 
     def _render(self, geometry: tuple[Any, Any], shader: Any, **more: Any) -> None:
         assign_uniforms(shader, self.uniforms | more)

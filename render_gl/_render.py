@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from model_jax import DepthTextures, Layers, Look, Scene, eye_center, ray_stretch
+from model_jax import DepthTextures, Layers, LayersLook, Look, Scene, eye_center, ray_stretch
+from model_jax._composite import Air, compose
 from model_jax._shapes import Rgba
 
 from ._choices import Source
@@ -14,7 +15,12 @@ from ._frame import Frame
 from ._mesh_error import mesh_width_error
 
 
-def render(scene: Scene, depth_format: str = "auto", source: Source = "raster") -> Layers:
+def render(
+    scene: Scene,
+    depth_format: str = "auto",
+    source: Source = "raster",
+    look: Look | None = None,
+) -> Layers:
     """Depth layers of a scene by the paper's five passes.
 
     Args:
@@ -23,6 +29,7 @@ def render(scene: Scene, depth_format: str = "auto", source: Source = "raster") 
             thousandth of the shell's height (`choose_format` tells which and why).
         source: "raster" finds depths on each pixel's own ray, exact to float32; "mesh" takes those
             of the meshes, as the paper does.
+        look: what the layers are for: shadows are drawn only if it needs them; None: in any case.
 
     Returns:
         float32 layers [h, w] with the planet's mask, and `surface` when the planet has an albedo;
@@ -33,7 +40,9 @@ def render(scene: Scene, depth_format: str = "auto", source: Source = "raster") 
         DriverError: no usable OpenGL. InputError: what cannot be drawn, by name.
     """
     stored = choose_format(scene, depth_format).depth_format
-    return _layers(scene, draw(scene, Look(), stored, source), stored, source)
+    return _layers(
+        scene, draw(scene, LayersLook() if look is None else look, stored, source), stored, source
+    )
 
 
 def render_image(
@@ -66,11 +75,11 @@ def _layers(scene: Scene, frame: Frame, depth_format: DepthFormat, source: Sourc
 
 def _picture(look: Look, frame: Frame) -> Rgba:
     """Surface, air and background together, as the frame buffer adds them."""
-    rgb = frame.air[..., :3] + np.asarray(look.background, np.float32)
-    if frame.surface is not None:
-        rgb += frame.surface
-    alpha = np.maximum(frame.air[..., 3], frame.planet)
-    return np.concatenate([rgb, alpha[..., None]], axis=-1)
+    alpha = frame.air[..., 3:]
+    air = Air(frame.air[..., :3], alpha, frame.transmittance)
+    rgb = compose(air, frame.surface, np.asarray(look.background, np.float32), look.BLEND)
+    alpha = np.maximum(alpha, frame.planet[..., None])
+    return np.concatenate([rgb, alpha], axis=-1)
 
 
 def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layers:

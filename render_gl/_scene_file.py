@@ -5,7 +5,7 @@
     [atmosphere]  height; color
     [sun]         direction; angular_radius_deg            (absent: no shadow volume)
     [[occluder]]  center, radius
-    [look]        brightness, shadow, tint, background
+    [look]        kind (layers unless said), and the look's parameters; background
     [photo]       path, tone_curve, mask
 
 Unknown keys, wrong types and impossible values are errors that name file, key and remedy. Paths are
@@ -19,7 +19,7 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,16 +31,19 @@ from model_jax import (
     Atmosphere,
     Camera,
     InputError,
+    LayersLook,
     Look,
     Occluder,
     Planet,
     Scene,
     Sun,
     ToneCurve,
+    find_look,
     parse_tone_curve,
 )
 from model_jax._errors import cut, shown
 from model_jax._kinds import need
+from model_jax._look import defaults
 from model_jax._shapes import converter
 
 from ._files import PathLike, check_file
@@ -86,12 +89,7 @@ _TABLES: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "sun": {"direction": ("!", _VECTOR), "angular_radius_deg": (_NUMBER,)},
     "occluder": {"center": ("!", _VECTOR), "radius": ("!", _NUMBER)},
-    "look": {
-        "brightness": (_NUMBER,),
-        "shadow": (_NUMBER, _VECTOR),
-        "tint": (_VECTOR,),
-        "background": (_NUMBER, _VECTOR),
-    },
+    "look": {},  # the look's own (`_look_keys`)
     "photo": {"path": (_TEXT,), "tone_curve": (_TEXT, "a table"), "mask": (_TEXT,)},
 }
 _NEEDED = ("camera", "planet", "atmosphere")
@@ -116,13 +114,21 @@ class SceneFile:
     photo: PhotoSettings
 
 
-def load_scene(path: PathLike) -> SceneFile:
-    """Read a scene file. Raises `InputError` in one line: file, key, value, remedy."""
+def load_scene(path: PathLike, look: PathLike | None = None) -> SceneFile:
+    """Read a scene file.
+
+    Args:
+        look: name or Python file of a look (`find_look`), in place of the scene's; where the scene
+            names another kind, its [look] table is of that and is left aside.
+
+    Raises `InputError` in one line: file, key, value, remedy.
+    """
+    asked = None if look is None else find_look(look)
     file = check_file(path)
     with open(file, "rb") as stream:
         content = stream.read(MAX_BYTES + 1)
     try:
-        return _build(file, _parse(content))
+        return _build(file, _parse(content), asked)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -151,7 +157,7 @@ def _parse(content: bytes) -> dict[str, Any]:
         raise InputError("has a number of more than 4300 digits; shorten it") from None
 
 
-def _build(file: Path, document: dict[str, Any]) -> SceneFile:
+def _build(file: Path, document: dict[str, Any], asked: type[Look] | None) -> SceneFile:
     _check_keys("unknown table", document, _TABLES)
     for name in _NEEDED:
         if name not in document:
@@ -163,7 +169,8 @@ def _build(file: Path, document: dict[str, Any]) -> SceneFile:
             form = f"[[{name}]]" if name == "occluder" else f"[{name}]"
             raise InputError(f"{name}: {shown(table)} must be written as a {form} table")
         for row in rows:
-            _check_table(name, row)
+            if name != "look":
+                _check_table(name, row, _TABLES[name])
         tables[name] = table
 
     def beside(table: str, key: str) -> str | None:
@@ -182,13 +189,43 @@ def _build(file: Path, document: dict[str, Any]) -> SceneFile:
     return SceneFile(
         path=file,
         scene=scene,
-        look=Look(**tables.get("look", {})),
+        look=_look(tables.get("look", {}), asked),
         photo=PhotoSettings(
             path=beside("photo", "path"),
             tone_curve=None if curve is None else parse_tone_curve(curve),
             mask=beside("photo", "mask"),
         ),
     )
+
+
+def _look(table: dict[str, Any], asked: type[Look] | None) -> Look:
+    """The look of a [look] table; of another kind than the one asked for it says nothing."""
+    name = table.get("kind", LayersLook.NAME)
+    if not isinstance(name, str):
+        raise InputError(f"look.kind: {shown(name)} must be a string; name a look")
+    if asked is not None and name != asked.NAME:
+        return defaults(asked)
+    if asked is None and name.endswith(".py"):
+        # A scene is data, and data shall run no code.
+        raise InputError(
+            f"look.kind: {shown(name)} is a Python file; write the look's name there, and give the "
+            f"file where the scene is read, as --look {name}"
+        )
+    kind = find_look(name) if asked is None else asked
+    _check_table("look", table, _look_keys(kind))
+    return defaults(kind, {key: value for key, value in table.items() if key != "kind"})
+
+
+def _look_keys(kind: type[Look]) -> dict[str, tuple[str, ...]]:
+    """Keys of the [look] table of a kind, and what their values must be."""
+    forms: dict[tuple[int, ...], str] = {(): _NUMBER, (3,): _VECTOR}
+    return {"kind": (_TEXT,)} | {
+        name: tuple(
+            forms[shape] if shape in forms else f"a list of {shape[0]} numbers"
+            for shape in about.shapes
+        )
+        for name, about in kind.PARAMETERS.items()
+    }
 
 
 def _camera(table: dict[str, Any]) -> Camera:
@@ -251,8 +288,7 @@ def _check_keys(problem: str, table: dict[str, Any], known: Any) -> None:
             raise InputError(f"{problem} {shown(key)}; {remedy}")
 
 
-def _check_table(name: str, table: dict[str, Any]) -> None:
-    known = _TABLES[name]
+def _check_table(name: str, table: dict[str, Any], known: Mapping[str, tuple[str, ...]]) -> None:
     _check_keys(f"{name}: unknown key", table, known)
     for key, kinds in known.items():
         if key not in table:
@@ -266,11 +302,12 @@ def _check_table(name: str, table: dict[str, Any]) -> None:
 
 def _is(value: Any, kind: str) -> bool:
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    sizes = {_VECTOR: 3, _PAIR: 2, "a list of four numbers": 4}
-    if kind in sizes:
+    sizes = {"three": 3, "two": 2, "four": 4}
+    if listed := re.fullmatch(r"a list of (\w+) numbers", kind):
+        size = sizes.get(listed[1]) or int(listed[1])
         return (
             isinstance(value, list)
-            and len(value) == sizes[kind]
+            and len(value) == size
             and all(_is(item, _NUMBER) for item in value)
         )
     return {

@@ -11,6 +11,8 @@ from importlib import resources
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from model_jax import FIELDS, InputError
+
 from ._context import on_gl
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ DEFINES = frozenset(
         "COLOR_DEPTH",
         "CONE",
         "EXACT",
+        *(f"FIELD_{name.upper()}" for name in FIELDS),
         "LINEAR",
         "OCCLUDERS",
         "RELIEF",
@@ -30,6 +33,7 @@ DEFINES = frozenset(
         "SORTED",
         "STRETCH",
         "SUN",
+        "TRANSMITS",
     }
 )
 """Every switch a shader may ask for."""
@@ -39,8 +43,10 @@ NONE: Mapping[str, int] = MappingProxyType({})
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$', re.MULTILINE)
 
 
-def shader_source(name: str, defines: Mapping[str, int] = NONE) -> str:
+def shader_source(name: str, defines: Mapping[str, int] = NONE, look: str = "") -> str:
     """Text of a shader file with its includes and defines written out.
+
+    `#include "look"` is the text of a look (`_looks.look_text`).
 
     Defines that the file does not use are left away, so that one set serves all stages; a name
     outside `DEFINES` raises `ValueError`, as does a missing file.
@@ -50,7 +56,8 @@ def shader_source(name: str, defines: Mapping[str, int] = NONE) -> str:
         raise ValueError(f"{name}: unknown define {sorted(unknown)}; known are {sorted(DEFINES)}")
     text = _read(name)
     for included in _INCLUDE.findall(text):
-        text = text.replace(f'#include "{included}"', _read(included))
+        part = look if included == "look" else _read(included)
+        text = text.replace(f'#include "{included}"', part)
     if "#include" in text:
         raise ValueError(f"{name}: an include inside an include, or a malformed one")
     asked = set(re.findall(r"#ifn?def (\w+)", text))
@@ -64,6 +71,20 @@ def shader_source(name: str, defines: Mapping[str, int] = NONE) -> str:
 def program(vertex: str, fragment: str, defines: Mapping[str, int] = NONE) -> "moderngl.Program":
     """Compiled program of two shader files; compiled once per process and set of defines."""
     return _compile(shader_source(vertex, defines), shader_source(fragment, defines))
+
+
+def look_program(
+    vertex: str, fragment: str, defines: Mapping[str, int], name: str, text: str
+) -> "moderngl.Program":
+    """The same with a look's text in it; `InputError` with the driver's words if it is no GLSL."""
+    import moderngl
+
+    try:
+        return _compile(shader_source(vertex, defines), shader_source(fragment, defines, text))
+    except moderngl.Error as error:
+        found = re.findall(r"^.*(?:error|ERROR).*$", str(error), re.MULTILINE)
+        told = "; ".join(line.strip() for line in found[1:3]) or str(error)
+        raise InputError(f"look {name}: its GLSL does not compile ({told}); mend it") from None
 
 
 @cache

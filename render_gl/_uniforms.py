@@ -8,6 +8,7 @@ from model_jax import Camera, Encoding, Look, Scene, Sun, depth_constants, eye_c
 from model_jax._view import Aim, ShadowCone
 
 from ._depth_format import Storage
+from ._looks import look_defines, look_uniforms
 
 
 def uniforms_of(scene: Scene, look: Look, encoding: Encoding) -> dict[str, Any]:
@@ -17,36 +18,38 @@ def uniforms_of(scene: Scene, look: Look, encoding: Encoding) -> dict[str, Any]:
     basis = np.asarray(camera.basis())
     center = -basis @ np.asarray(camera.position) / radius
     focal_y = 2.0 / (camera.height * float(camera.pixel_size()))
-    return {
-        "basis": tuple(basis.T.reshape(-1)),  # GL wants columns
-        "center": tuple(center[:2]),
-        "center_depth": center[2],
-        "clip_planes": (near / radius - center[2], far / radius - center[2]),
-        "clip_factors": (far / (far - near), near / (far - near)),
-        "focal": (focal_y * camera.height / camera.width, focal_y),
-        "length_unit": radius,
-        "eye_reference": (center[2], near / radius),
-        "body_depths": _body_depths(scene, near / radius - center[2]),
-        "reversed_factor": near / (far - near),
-        "window_factor": far / (far - near),
-        # Eye depths need none.
-        "depth_constants": depth_constants(
-            near, far, "window" if encoding == "linear" else encoding
-        ),
-        "plane_depths": (near, far),
-        "width_unit": far - near,
-        "pixel_size": float(camera.pixel_size()),
-        "principal": (camera.width / 2, camera.height / 2),
-        "first_row": 0.0,
-        "brightness": float(look.brightness),
-        "shadow": tuple(np.broadcast_to(look.shadow, 3)),
-        "tint": tuple(np.asarray(look.tint)),
-        "color": tuple(np.asarray(scene.atmosphere.color)),
-        "relief_scale": relief_scale(scene),
-        "sun": (0.0, 0.0, 0.0) if scene.sun is None else tuple(np.asarray(scene.sun.direction)),
-        "sun_tangent": 0.0 if scene.sun is None else _tangent(scene.sun),
-        "occluders": [(*np.asarray(o.center) / radius, o.radius / radius) for o in scene.occluders],
-    }
+    return (
+        {
+            "basis": tuple(basis.T.reshape(-1)),  # GL wants columns
+            "center": tuple(center[:2]),
+            "center_depth": center[2],
+            "clip_planes": (near / radius - center[2], far / radius - center[2]),
+            "clip_factors": (far / (far - near), near / (far - near)),
+            "focal": (focal_y * camera.height / camera.width, focal_y),
+            "length_unit": radius,
+            "eye_reference": (center[2], near / radius),
+            "body_depths": _body_depths(scene, near / radius - center[2]),
+            "reversed_factor": near / (far - near),
+            "window_factor": far / (far - near),
+            # Eye depths need none.
+            "depth_constants": depth_constants(
+                near, far, "window" if encoding == "linear" else encoding
+            ),
+            "plane_depths": (near, far),
+            "width_unit": far - near,
+            "pixel_size": float(camera.pixel_size()),
+            "principal": (camera.width / 2, camera.height / 2),
+            "first_row": 0.0,
+            "color": tuple(np.asarray(scene.atmosphere.color)),
+            "relief_scale": relief_scale(scene),
+            "sun": (0.0, 0.0, 0.0) if scene.sun is None else tuple(np.asarray(scene.sun.direction)),
+            "sun_tangent": 0.0 if scene.sun is None else _tangent(scene.sun),
+            "occluders": [
+                (*np.asarray(o.center) / radius, o.radius / radius) for o in scene.occluders
+            ],
+        }
+        | look_uniforms(look)
+    )
 
 
 def aim_uniforms(camera: Camera, aim: Aim, radius: float) -> dict[str, Any]:
@@ -85,7 +88,7 @@ def plane_codes(scene: Scene, encoding: Encoding) -> tuple[float, float]:
     return (1.0, 0.0) if encoding == "reversed" else (0.0, 1.0)
 
 
-def defines_of(scene: Scene, storage: Storage, shadows: int) -> dict[str, int]:
+def defines_of(scene: Scene, kind: type[Look], storage: Storage, shadows: int) -> dict[str, int]:
     """The shader switches of a scene: what it does not have, or show, is not compiled."""
     wanted = {
         "COLOR_DEPTH": storage.texture is not None,
@@ -99,7 +102,7 @@ def defines_of(scene: Scene, storage: Storage, shadows: int) -> dict[str, int]:
         "ALBEDO": scene.planet.albedo is not None,
         "RELIEF": scene.planet.relief is not None,
     }
-    return {name: int(value) for name, value in wanted.items() if value}
+    return {name: int(value) for name, value in wanted.items() if value} | look_defines(kind)
 
 
 def _overlap(scene: Scene) -> bool:

@@ -26,7 +26,7 @@ from PIL import Image
 
 from fit import FitResult, fit, load_photo
 from fit.cli._job import Job, run_job
-from model_jax import Layers, Look, Occluder, Response, Scene, Srgb, record
+from model_jax import Layers, LayersLook, Look, Occluder, Response, Scene, Srgb, record
 from render_gl import check_scene, load_scene, render, render_image
 from render_gl._choices import Source
 
@@ -77,7 +77,7 @@ def paper() -> Document:
 def two_photos() -> Document:
     layers = exact_layers(scene()), exact_layers(scene().resized(120, 96))
     responses = Response(1.0, black_level=0.01), Response(2.5, black_level=-0.02)
-    looks = [Look(3.0, 0.2, (0.8, 0.9, 1.3))] * 2
+    looks = [LayersLook(3.0, 0.2, (0.8, 0.9, 1.3))] * 2
     photos = [
         shot(*one, seed=k) for k, one in enumerate(zip(layers, looks, responses, strict=True))
     ]
@@ -87,7 +87,7 @@ def two_photos() -> Document:
 def robust() -> Document:
     """A PNG with bright outliers, and white where the air is brightest."""
     layers = exact_layers(scene())
-    light = shot(layers, Look(4.0, 0.3, (0.8, 0.9, 1.3), 0.05))
+    light = shot(layers, LayersLook(4.0, 0.3, (0.8, 0.9, 1.3), background=0.05))
     light[np.random.default_rng(1).random(light.shape[:2]) < 0.03] += 0.5
     codes = np.round(255 * np.clip(np.asarray(Srgb().encode(light)), 0, 1)).astype(np.uint8)
     with tempfile.TemporaryDirectory() as folder:
@@ -100,7 +100,7 @@ def gamma() -> Document:
     layers = exact_layers(scene())
     free = ("brightness", "shadow", "tint", "gamma", "black_level")
     response = Response(gamma=1.2, black_level=0.02)
-    return told(fit(shot(layers, Look(1.5, 0.3), response), layers, START, free=free))
+    return told(fit(shot(layers, LayersLook(1.5, 0.3), response), layers, START, free=free))
 
 
 def vmap() -> Document:
@@ -145,7 +145,7 @@ def told(result: FitResult) -> Document:
 
 def drawn(scene: Scene, depth: str = "auto", source: Source = "raster") -> Document:
     """A scene's picture and layers: counts and means of each, and what tells any bit's change."""
-    look = Look()
+    look = LayersLook()
     found = check_scene(scene, look, depth, source).summary()
     layers = render(scene, depth, source)
     arrays = {

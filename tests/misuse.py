@@ -19,7 +19,7 @@ import numpy as np
 import fit
 import model_jax
 import render_gl
-from model_jax import DriverError, InputError, Look, Scene, analytic_layers
+from model_jax import DriverError, InputError, LayersLook, Scene, analytic_layers
 from render_gl import SceneFile, load_scene
 
 RESULTS = {fit, render_gl}
@@ -30,7 +30,11 @@ PASSED_OVER = {
     "DepthFormat": "a type for annotations",
     "Source": "a type for annotations",
     "Verdict": "an enumeration, which Python itself checks",
-    "Parameter": "what airlight says of its own parameters",
+    "Parameter": "what a look says of its parameters, checked with the look",
+    "parameter": "likewise",
+    "Separable": "likewise",
+    "Look": "is abstract: a look is a subclass of it",
+    "Fields": "what a look is given",
     "WidthRanges": "an answer",
     "write_whole": "takes a function",
 }
@@ -52,7 +56,7 @@ def right(scene: Scene) -> dict[str, Any]:
         "planet": scene.planet,
         "atmosphere": scene.atmosphere,
         "layers": layers,
-        "look": Look(),
+        "look": LayersLook(),
         "photo": np.ones((*size, 3), np.float32),
         "picture": np.ones((*size, 4), np.float32),
         "response": model_jax.Response(),
@@ -63,9 +67,6 @@ def right(scene: Scene) -> dict[str, Any]:
         "encoding": "window",
         "depth": depth,
         "light": np.linspace(0, 1, 9),
-        "lit": depth[..., None],
-        "dark": None,
-        "color": np.ones(3),
         "near": number,
         "far": 2.0,
         "position": (0, 0, 3),
@@ -118,9 +119,9 @@ def methods(scene: Scene, layers: model_jax.Layers) -> dict[str, Any]:
     textures = model_jax.DepthTextures(depth, depth, None, None, 1.0, 2.0, "window")
     return {
         f"{type(record).__name__}.{name}": getattr(record, name)
-        for record in (scene, scene.camera, layers, textures, Look(), *curves)
+        for record in (scene, scene.camera, layers, textures, LayersLook(), *curves)
         for name, method in inspect.getmembers(type(record), inspect.isfunction)
-        if not name.startswith("_")
+        if not name.startswith("_") and name != "air"  # which airlight calls, not its user
     }
 
 
@@ -130,7 +131,19 @@ def sweep() -> tuple[int, list[str]]:
     scene = given.scene.resized(16, 12)
     known, calls, faults = right(scene), 0, []
     wrong: tuple[Any, ...]
-    wrong = ("x.exr", None, 3, object(), scene, given, Look(), known["layers"], [1, "a"], {}, b"x")
+    wrong = (
+        "x.exr",
+        None,
+        3,
+        object(),
+        scene,
+        given,
+        LayersLook(),
+        known["layers"],
+        [1, "a"],
+        {},
+        b"x",
+    )
     functions = methods(scene, known["layers"])
     for module in (model_jax, render_gl, fit):
         functions |= {f"{module.__name__}.{name}": f for name, f in public(module).items()}

@@ -43,7 +43,7 @@ def test_types_come_with_it(tmp_path: Path) -> None:
     (tmp_path / "a.py").write_text(
         "import airlight\n"
         "reveal_type(airlight.fit)\n"
-        "reveal_type(airlight.Look(3.0).brightness)\n"
+        "reveal_type(airlight.LayersLook(3.0).brightness)\n"
         "reveal_type(airlight.render)\n"
         "reveal_type(airlight.__version__)\n"
         "airlight.atmosphere\n"

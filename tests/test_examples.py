@@ -17,7 +17,7 @@ import pytest
 import render_gl
 from fit import fit, load_photo
 from fit.cli._job import Job, run_job
-from model_jax import Layers, Look, analytic_layers, combine
+from model_jax import Layers, LayersLook, analytic_layers, combine
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
@@ -66,15 +66,15 @@ def test_no_gradient_is_nan_on_any_example(name: str) -> None:
     scene = scene.resized(camera.width // 4, camera.height // 4)
     layers = analytic_layers(scene)
 
-    def loss(layers: Layers, look: Look) -> jax.Array:
+    def loss(layers: Layers, look: LayersLook) -> jax.Array:
         return jnp.sum(combine(layers, look) ** 2)
 
     floats = eqx.filter(layers, lambda leaf: isinstance(leaf, jax.Array))
     rest = eqx.filter(layers, lambda leaf: not isinstance(leaf, jax.Array))
     by_layers = jax.jit(jax.grad(lambda a, look: loss(eqx.combine(a, rest), look), (0, 1)))
-    gradients = by_layers(floats, Look())
+    gradients = by_layers(floats, LayersLook())
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradients))
-    light = jax.grad(lambda s: jnp.sum(combine(analytic_layers(s), Look())))
+    light = jax.grad(lambda s: jnp.sum(combine(analytic_layers(s), LayersLook())))
     by_scene = eqx.filter_jit(light)(scene)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(by_scene))
     assert any(np.any(leaf) for leaf in jax.tree.leaves(by_scene))
@@ -125,7 +125,7 @@ def test_iss_photo_does_not_tell_the_shadow_weight(tmp_path: Path, data_dir: Pat
     shadow = document["parameters"]["shadow"]
     assert document["verdict"] == "converged"
     assert (shadow["free"], shadow["stderr"], shadow["value"]) == (False, None, 0.2)
-    assert [item["what"] for item in document["left_out"]] == ["shadow weight"]
+    assert [item["what"] for item in document["left_out"]] == ["shadow"]
 
 
 def test_rendered_linear_layers_give_the_look_back(tmp_path: Path) -> None:
@@ -148,6 +148,6 @@ def test_exact_layers_give_the_look_back_to_1e8() -> None:
     scene = render_gl.load_scene(EXAMPLES / "paper.toml").scene
     scene = scene.resized(320, 256)
     layers = analytic_layers(scene, jnp.float64)
-    result = fit(np.asarray(combine(layers, Look()))[..., :3], layers)
+    result = fit(np.asarray(combine(layers, LayersLook()))[..., :3], layers)
     for name, truth in (("brightness", 3.0), ("shadow", 0.2)):
         assert result.parameters[name].value == pytest.approx(truth, rel=1e-8)

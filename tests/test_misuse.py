@@ -46,7 +46,7 @@ SLIPS = {
     'combine("layers.exr", look)': "layers: 'layers.exr' is a path; give "
     "render_gl.read_layers('layers.exr')",
     "combine(layers, 3.0)": "look: is of type float; give a Look",
-    "layer_widths(look)": "layers: is of type Look; give Layers, from analytic_layers, "
+    "layer_widths(look)": "layers: is of type LayersLook; give Layers, from analytic_layers, "
     "render_gl.render or render_gl.read_layers",
     "fit(photo, file)": "layers: is of type SceneFile; give Layers, from analytic_layers, "
     "render_gl.render or render_gl.read_layers",

@@ -29,7 +29,7 @@ def test_each_package_is_there_with_its_types(names: set[str]) -> None:
     for package in ("model_jax", "render_gl", "fit", "airlight"):
         assert {f"{package}/{n}" for n in ("__init__.py", "__init__.pyi", "py.typed")} <= names
     assert "fit/report/templates/report.html" in names
-    assert "render_gl/glsl/combine.glsl" in names
+    assert {"render_gl/glsl/fields.glsl", "render_gl/glsl/looks/layers.glsl"} <= names
     assert not any(name.startswith("tests/") for name in names)
 
 

@@ -13,7 +13,7 @@ from model_jax import (
     Atmosphere,
     Camera,
     Layers,
-    Look,
+    LayersLook,
     Planet,
     Response,
     Scene,
@@ -25,12 +25,13 @@ from render_gl._scene_file import scene_record
 
 from ..photo._pixels import Columns
 from ..solve._declare import declare
+from ..solve._layout import Layout
 from ..solve._loss import Loss
 from ..solve._model import Model
 from ..solve._problem import Problem
 from ..solve._samples import on_device, to_samples
 
-TRUTH = Look(brightness=3.0, shadow=0.2, tint=np.array([0.8, 0.9, 1.3]))
+TRUTH = LayersLook(brightness=3.0, shadow=0.2, tint=np.array([0.8, 0.9, 1.3]))
 FREE = ("brightness", "shadow", "tint")
 NOISE = 0.02
 """Five of 256 codes, some noise of a photo: time does not depend on it."""
@@ -85,9 +86,9 @@ def make_picture(width: int, height: int) -> tuple[Layers, Float[np.ndarray, "h 
 
 
 def case_problem(columns: Columns, more: tuple[str, ...]) -> tuple[Problem, Any]:
-    parameters = declare(Look(1.0, 0.5), [Response()], free=(*FREE, *more))
+    parameters = declare(LayersLook(1.0, 0.5), [Response()], free=(*FREE, *more))
     samples = on_device(to_samples([columns]))
-    model = Model(Loss("linear"), None, not more)
+    model = Model(Loss("linear"), None, Layout(LayersLook), not more)
     return Problem((columns,), samples, parameters, model), parameters
 
 

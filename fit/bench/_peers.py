@@ -17,8 +17,8 @@ def scipy_fit(
     """Trust-region reflective, as a careful user calls it: analytic Jacobian, scaled columns."""
     from scipy.optimize import least_squares  # a tenth of a second to import, and only here
 
-    lit, light, color = columns.lit, columns.light, columns.color
-    dark = columns.dark if columns.dark is not None else np.zeros_like(lit)
+    lit, light, color = columns.fields["lit"], columns.light, columns.color
+    dark = columns.fields.get("dark", np.zeros_like(lit))
 
     def tints(x: np.ndarray) -> np.ndarray:
         return np.array([x[2], x[3], 3 - x[2] - x[3]])
@@ -53,8 +53,9 @@ def scipy_fit(
 
 def dense_fit(columns: Columns, start: Float[np.ndarray, "4"]) -> Float[np.ndarray, "4"]:
     """optimistix as its documentation shows it: all residuals in one array, float32."""
-    dark = columns.dark if columns.dark is not None else np.zeros_like(columns.lit)
-    arrays = (columns.lit, dark, columns.light, columns.color)
+    lit = columns.fields["lit"]
+    dark = columns.fields.get("dark", np.zeros_like(lit))
+    arrays = (lit, dark, columns.light, columns.color)
     with jax.enable_x64(False):  # the command line switches it on
         return np.asarray(_dense_run(*(jnp.asarray(a, jnp.float32) for a in (*arrays, start))))
 

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 import render_gl
-from model_jax import Layers, Look
+from model_jax import Layers, LayersLook
 
 from .._fit import fit
 from .._result import FitResult
@@ -59,7 +59,7 @@ def run_bench(
     used = choose_pixels(photo, layers, "point").used
     columns = take_columns(photo, layers, used, float(layers.width_unit))
     best = scipy_fit(columns, np.array([3.0, 0.2, 0.8, 0.9]), 1e-15)
-    n = len(columns.lit)
+    n = len(columns.index)
     rows: list[Row] = []
 
     def add(name: str, run: Callable[[], Any], found: Callable[[Any], Any], note: str = "") -> Row:
@@ -129,7 +129,7 @@ def _solve(
 
 
 def _fit(photo: np.ndarray, layers: Layers) -> FitResult:
-    return fit(photo, layers, Look(1.0, 0.5), free=FREE, sampling="point")
+    return fit(photo, layers, LayersLook(1.0, 0.5), free=FREE, sampling="point")
 
 
 def _of_vector(vector: np.ndarray) -> list[float]:
@@ -149,14 +149,14 @@ def _pass_rows(
     problem, parameters = case_problem(columns, ())
     free = [p for p in parameters if p.role == "free"]
     directions = free_directions(free, parameters)[0]
-    n = len(columns.lit)
+    n = len(columns.index)
     with jax.enable_x64(True):
         vector, slopes = jnp.asarray(to_entries(parameters)), jnp.asarray(directions)
         _, times = _times(
             lambda: exact_gram(vector, slopes, problem.samples, problem.model), 3 * repeats
         )
     median = float(np.median(times))
-    parts = (columns.lit, columns.dark, columns.light)
+    parts = (*columns.fields.values(), columns.light)
     read = float(sum(part.nbytes for part in parts if part is not None))
     bandwidth = _copy_bandwidth(repeats)
     floor = read / bandwidth

@@ -1,24 +1,24 @@
 """The command line's `NAME=…` options: one assignment to an option, given again for the next.
 
-    --start shadow=0.3   --bounds shadow=:1   --prior gamma=1:0.05   --tie gamma.2=gamma.1
+    --start gamma=1.2   --bounds exposure=:2   --prior gamma=1:0.05   --tie gamma.2=gamma.1
 
-Their form is checked here, and that each name is of some parameter; which members there are and
-which values are possible is `declare`'s. Paths and tone curves are checked here too.
+Their form is checked here; which parameters a look has and which values are possible is
+`declare`'s. Paths and tone curves are checked here too.
 """
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from model_jax._errors import InputError, shown
-from model_jax._parameter import PARAMETERS, RESPONSE_PARAMETERS
 
 T = TypeVar("T")
 
 
 def starts(texts: Sequence[str]) -> dict[str, float]:
     """NAME=VALUE: finite start values."""
-    return _each("--start", "NAME=VALUE, such as shadow=0.3", texts, _finite)
+    return _each("--start", "NAME=VALUE, such as gamma=1.2", texts, _finite)
 
 
 def bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -31,7 +31,7 @@ def bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
             _not_nan(high) if high else math.inf,
         )
 
-    return _each("--bounds", "NAME=LOW:HIGH, such as shadow=0:1 or shadow=:1", texts, limits)
+    return _each("--bounds", "NAME=LOW:HIGH, such as gamma=0.5:2 or exposure=:2", texts, limits)
 
 
 def priors(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -104,9 +104,10 @@ def _each(option: str, form: str, texts: Sequence[str], read: Callable[[str], T]
 
 
 def _check_name(given: str, name: str) -> None:
-    known = PARAMETERS | RESPONSE_PARAMETERS
-    if name.partition(".")[0] not in known:
-        raise InputError(f"{given}: {shown(name)} is no parameter; choose from {', '.join(known)}")
+    if not re.fullmatch(r"[A-Za-z]\w*(\.\w+)?", name):
+        raise InputError(
+            f"{given}: {shown(name)} is no parameter's name; `airlight looks` has them"
+        )
 
 
 def _two(text: str) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""The command line: `airlight render | fit | check | export | bench | version`.
+"""The command line: `airlight render | fit | check | export | looks | bench | version`.
 
 Exit codes: 0 done (and, with a warning, a fit at a bound); 1 the check failed or the fit has
 another verdict; 2 bad input, in one line on standard error with a remedy; 70 a bug (`_guard`).
@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from model_jax._choices import Encoding
-from model_jax._errors import AirlightError, InputError, printable
+from model_jax._errors import InputError, printable
 from render_gl._choices import DepthFormat, Source
 from render_gl._files import check_file
 
@@ -25,7 +25,7 @@ from ..report._export import Format, export_text, write_export
 from ..report._fitted import read_fit
 from . import _assignments as assignments
 from ._drawing import NOTHING_IN_VIEW, draw_scene, in_view, parse_size, write_png
-from ._guard import check_devices, guard, tell
+from ._guard import command_line, devices_found, guard, tell
 from ._outputs import check_folder, prepare_folder, versions
 from ._progress import computing, console, say
 
@@ -40,6 +40,10 @@ Depths = Literal["auto", DepthFormat]
 
 SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+LookOption = Annotated[
+    str | None,
+    typer.Option(metavar="LOOK", help="A look's name or Python file, in place of the scene's."),
+]
 SourceOption = Annotated[
     LayerSource,
     typer.Option(
@@ -56,7 +60,7 @@ def main() -> None:
     """Entry point of the console script: errors in one line, no traceback for a user's mistake."""
     if len(sys.argv) == 1:
         sys.argv.append("--help")
-    with guard(_command):
+    with guard(command_line):
         app(standalone_mode=False)
 
 
@@ -85,6 +89,7 @@ def render(
     out: Annotated[
         str, typer.Option("-o", "--out", help="OUT.exr: layers and picture; OUT.png: picture only.")
     ],
+    look: LookOption = None,
     source: SourceOption = "raster",
     depth: DepthOption = "auto",
     size: Annotated[
@@ -106,7 +111,7 @@ def render(
     with computing() as step:
         import render_gl
 
-        file = render_gl.load_scene(scene)
+        file = render_gl.load_scene(scene, look)
         drawn = file.scene if pixels is None else file.scene.resized(*pixels)
         if source != "analytic":
             choice = render_gl.choose_format(drawn, depth)
@@ -158,6 +163,7 @@ def fit(
     constant: Annotated[
         float, typer.Option(help="With log depths: C of log(C z + 1) / log(C far + 1).")
     ] = 1.0,
+    look: LookOption = None,
     source: Annotated[
         LayerSource | None,
         typer.Option(help="Layers by OpenGL passes (the default), or by exact intersection."),
@@ -175,7 +181,7 @@ def fit(
     ] = None,
     free: Annotated[
         str | None,
-        typer.Option(metavar="A,B", help="Parameters to fit, such as brightness,gamma.2."),
+        typer.Option(metavar="A,B", help="Parameters to fit, such as background,gamma.2."),
     ] = None,
     start: Annotated[
         list[str] | None,
@@ -210,8 +216,8 @@ def fit(
 ) -> None:
     """Fit a look to a photo, or one look to several photos.
 
-    The look is brightness, shadow weight, tint and background. Several photos share it, and each
-    has an exposure and a black level of its own instead of the background.
+    Fitted are the look's parameters (`airlight looks`). Several photos share the look, and each has
+    an exposure and a black level of its own instead of the background.
     """
     assignments.check_paths(paths, layers)
     if layers is None and any(given is not None for given in (near, far, encoding)):
@@ -236,6 +242,7 @@ def fit(
         far=far,
         encoding=encoding,
         constant=constant,
+        look=look,
         source=source or "raster",
         depth_format=depth or "linear",
         tone_curve=assignments.tone_curve(tone_curve),
@@ -277,6 +284,7 @@ def check(
     out: Annotated[
         str | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for the three EXRs.")
     ] = None,
+    look: LookOption = None,
     depth: DepthOption = "auto",
     source: Annotated[
         Source,
@@ -291,7 +299,7 @@ def check(
     with computing() as step:
         import render_gl
 
-        file = render_gl.load_scene(scene)
+        file = render_gl.load_scene(scene, look)
         folder = prepare_folder(out if out is not None else f"{file.path.stem}-check")
         step("drawing and comparing")
         found = render_gl.check_scene(file.scene, file.look, depth, source)
@@ -301,7 +309,7 @@ def check(
             ("jax", found.parity.jax),
             ("difference", found.parity.difference),
         ):
-            render_gl.write_picture(folder / f"{name}.exr", picture, file.scene)
+            render_gl.write_picture(folder / f"{name}.exr", picture[..., :4], file.scene)
     if as_json:
         print(json.dumps(found.summary() | {"out": str(folder)}, allow_nan=False))
     else:
@@ -335,6 +343,24 @@ def export(
 
 
 @app.command()
+def looks(
+    look: Annotated[
+        str | None, typer.Option(metavar="LOOK", help="Only this one, by its name or Python file.")
+    ] = None,
+    fields: Annotated[
+        bool, typer.Option("--fields", help="Also what a look may ask of a pixel's ray.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """List the looks: built in, installed, or in a file, with their parameters."""
+    with computing(keep=False):
+        from ._looks import describe_looks, looks_text
+
+        found = describe_looks(look)
+    say(as_json, found, looks_text(found, fields))
+
+
+@app.command()
 def bench(
     out: Annotated[str, typer.Option("-o", "--out", metavar="DIR", help="Folder for the tables.")],
     quick: Annotated[bool, typer.Option(help="A sixteenth of the pixels; no large photo.")] = False,
@@ -362,30 +388,9 @@ def version(
     as_json: JsonOption = False,
 ) -> None:
     """Versions of airlight and of what it computes with."""
-    facts: dict[str, Any] = versions() | (_devices() if devices else {})
+    facts: dict[str, Any] = versions() | (devices_found() if devices else {})
     lines = [
         f"{name:12} {value if isinstance(value, str) else ', '.join(value)}"
         for name, value in facts.items()
     ]
     say(as_json, facts, "\n".join(lines))
-
-
-def _devices() -> dict[str, Any]:
-    """What draws and what computes; why not, where there is none."""
-    import render_gl
-
-    try:
-        renderer = render_gl.renderer_name()
-    except AirlightError as error:
-        renderer = f"none ({error})"
-    try:
-        found = check_devices()
-    except AirlightError as error:
-        found = [f"none ({error})"]
-    return {"OpenGL": renderer, "JAX devices": found}
-
-
-def _command() -> str:
-    """The command line as far as its subcommand, if it has one."""
-    commands = ("render", "fit", "check", "export", "bench", "version")
-    return " ".join(["airlight", *(word for word in sys.argv[1:2] if word in commands)])

@@ -23,7 +23,7 @@ def draw_scene(
     from ._job import make_layers
 
     if source == "analytic":
-        layers = make_layers(scene, source, depth_format)
+        layers = make_layers(scene, source, depth_format, look)
         return layers, composite(layers, look)
     return render_gl.render_layers_and_image(scene, look, depth_format, source)
 

@@ -162,3 +162,24 @@ def _save(error: Exception, said: IO[bytes]) -> Path | str:
         return Path(file.name)
     except OSError:  # nowhere to write: better shown than lost
         return text
+
+
+def devices_found() -> dict[str, Any]:
+    """What draws and what computes; why not, where there is none."""
+    import render_gl
+
+    try:
+        renderer = render_gl.renderer_name()
+    except AirlightError as error:
+        renderer = f"none ({error})"
+    try:
+        found = check_devices()
+    except AirlightError as error:
+        found = [f"none ({error})"]
+    return {"OpenGL": renderer, "JAX devices": found}
+
+
+def command_line() -> str:
+    """The command line as far as its subcommand, if it has one."""
+    commands = ("render", "fit", "check", "export", "looks", "bench", "version")
+    return " ".join(["airlight", *(word for word in sys.argv[1:2] if word in commands)])

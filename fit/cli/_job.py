@@ -18,7 +18,18 @@ import jax.numpy as jnp
 import numpy as np
 
 import render_gl
-from model_jax import Encoding, InputError, Layers, Look, Response, Scene, analytic_layers
+from model_jax import (
+    Encoding,
+    InputError,
+    Layers,
+    LayersLook,
+    Look,
+    Response,
+    Scene,
+    analytic_layers,
+    find_look,
+)
+from model_jax._look import defaults
 from render_gl._files import path_text
 
 from .._choices import (
@@ -56,6 +67,8 @@ class Job:
     """How the layers' depths are coded; None: as their file says."""
     constant: float = 1.0
     """C of logarithmic depths."""
+    look: str | None = None
+    """A look by name or file, in place of the scenes'."""
     source: LayerSource = "raster"
     """Where a scene's layers come from."""
     depth_format: str = "linear"
@@ -93,8 +106,8 @@ def run_job(
     Raises `InputError` or `DriverError`; each file appears whole or not at all, and fit.json last,
     so that its presence means that all are there.
     """
-    files = [render_gl.load_scene(path) for path in job.scenes]
-    look, responses = start_values(job, files[0].look if files else Look())
+    files = [render_gl.load_scene(path, job.look) for path in job.scenes]
+    look, responses = start_values(job, files[0].look if files else _asked(job))
     _check_names(job, look, responses)  # slips are found out before the work, not after
     folder = prepare_folder(out)
     map_large_blocks()
@@ -107,7 +120,7 @@ def run_job(
         started = time.perf_counter()
         progress("drawing layers, {1}×{0}".format(*view.photo.shape))
         views.append(view)
-        layers.append(_layers(job, view))
+        layers.append(_layers(job, view, look))
         seconds["render"] += time.perf_counter() - started
     give_back()  # the driver's
     progress("fitting")
@@ -149,6 +162,11 @@ def run_job(
     return result, document
 
 
+def _asked(job: Job) -> Look:
+    """The look of a fit to layers, for which no scene says anything."""
+    return LayersLook() if job.look is None else defaults(find_look(job.look))
+
+
 def start_values(job: Job, look: Look) -> tuple[Look, tuple[Response, ...]]:
     """Look and responses to start from: the given look, with what the job says.
 
@@ -164,7 +182,7 @@ def start_values(job: Job, look: Look) -> tuple[Look, tuple[Response, ...]]:
             raise InputError(f"start: {name!r} is no parameter; choose from {list(known)}")
         for p in members:
             vector[list(p.entries)] = value
-    return to_look(vector, look), to_responses(vector)
+    return to_look(vector, look), to_responses(vector, type(look))
 
 
 def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
@@ -177,11 +195,12 @@ def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
     check_steps("max-steps", job.max_steps)
 
 
-def make_layers(scene: Scene, source: LayerSource, depth_format: str) -> Layers:
-    """Layers from the rasteriser or from exact intersection (which draws no relief, no albedo)."""
+def make_layers(scene: Scene, source: LayerSource, depth_format: str, look: Look) -> Layers:
+    """Layers for a look, from the rasteriser or from exact intersection (which draws no relief and
+    no texture)."""
     if source == "analytic":
         return analytic_layers(scene, jnp.float32)
-    return render_gl.render(scene, depth_format, source)
+    return render_gl.render(scene, depth_format, source, look)
 
 
 def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> PhotoView:
@@ -200,10 +219,10 @@ def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> PhotoView:
     return PhotoView(path_text(name), photo, scene, path_text(job.scenes[number]))
 
 
-def _layers(job: Job, view: PhotoView) -> Layers:
+def _layers(job: Job, view: PhotoView, look: Look) -> Layers:
     """Drawn, or read."""
     if view.scene is not None:
-        return make_layers(view.scene, job.source, job.depth_format)
+        return make_layers(view.scene, job.source, job.depth_format, look)
     assert job.layers is not None
     return render_gl.read_layers(job.layers, job.near, job.far, job.encoding, job.constant)
 

@@ -156,11 +156,12 @@ class _Again:
         noise: float,
     ) -> "_Again":
         problem, unit = point.problem, float(layers[0].width_unit)
+        kind = problem.model.layout.kind
         near = []
         for photo, of, c in zip(photos, layers, problem.columns, strict=True):
             used = np.zeros(size_of(photo), bool)
             used.reshape(-1)[c.index] = True
-            near.append(take_columns(photo, of, near_used(photo, used), unit))
+            near.append(take_columns(photo, of, near_used(photo, used), unit, kind))
         around = problem.beside(near)
         robust = problem.model.loss.name != "linear"
         parts = zip(photos, problem.columns, near, _picture(point, around), residuals, strict=True)
@@ -229,7 +230,7 @@ def _threads(problem: Problem) -> int:
     """As many as there are cores, but no more than have a few hundred megabytes together."""
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
-    pixels = sum(len(c.lit) for c in problem.columns)
+    pixels = sum(len(c.index) for c in problem.columns)
     return max(1, min(cores, 2**22 // max(pixels, 1)))
 
 

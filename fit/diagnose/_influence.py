@@ -92,7 +92,7 @@ def _tile_influence(
 ) -> jax.Array:
     def influence(number: jax.Array) -> jax.Array:
         tile = tile_at(samples, number)
-        predicted, slopes = tile_slopes(vector, directions, tile, model.linear)
+        predicted, slopes = tile_slopes(vector, directions, tile, model)
 
         def score_of(light: jax.Array) -> jax.Array:
             return weigh(predicted - light, tile.clipped, model.loss)[1]

@@ -247,8 +247,7 @@ def _part(columns: Columns, chosen: Int[np.ndarray, " m"]) -> Columns:
     return replace(
         columns,
         index=columns.index[chosen],
-        lit=columns.lit[chosen],
-        dark=part(columns.dark),
+        fields={name: field[chosen] for name, field in columns.fields.items()},
         light=columns.light[chosen],
         surface=part(columns.surface),
         clipped=part(columns.clipped),

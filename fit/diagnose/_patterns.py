@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from model_jax._fields import WIDTHS
+
 from ..photo._pixels import Columns
 
 
@@ -57,7 +59,8 @@ def _stray(patch: Patch) -> list[np.ndarray]:
 
 def _air(patch: Patch) -> list[np.ndarray]:
     found = []
-    for width in (patch.columns.lit, patch.columns.dark):
+    for name in WIDTHS:
+        width = patch.columns.fields.get(name)
         if width is not None and width.any():
             found.append(patch.light * (width / width.max())[:, None])
     return found

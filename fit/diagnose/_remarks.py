@@ -5,13 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import Layers
+from model_jax import FIELDS, Layers
 
 from .._choices import CHANNELS
 from .._result import FitResult, LeftOut, PhotoResult
 from .._verdict import STRUCTURED_PX, WELL_EXPLAINED
 from ..photo._photo import Photo
 from ..photo._pixels import Columns, Pixels, as_picture, light_at, take_columns
+from ..photo._widths import fields_at
 from ..solve._parameters import FitParameter, free_directions
 from ..solve._task import Task
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
@@ -32,38 +33,59 @@ def pixel_remarks(pixels: Sequence[Pixels]) -> list[LeftOut]:
 def leave_out(
     task: Task, columns: Sequence[Columns]
 ) -> tuple[tuple[FitParameter, ...], list[LeftOut]]:
-    """What can be fitted at all: no weight without shadow, no tint without colour or alone."""
+    """What can be fitted at all: nothing of a field that is not there, no colour without any."""
     asked = [p for p in task.parameters if p.role == "free"]
     left_out: list[LeftOut] = []
-    count = sum(len(c.lit) for c in columns)
-    has_dark = any(c.dark is not None and (c.dark > c.width_error).any() for c in columns)
-    has_lit = any((c.lit > c.width_error).any() for c in columns)
-    why = None
-    if not any(layers.has_shadow for layers in task.layers):
-        why = "the layers hold no shadow: no sun is given, or no air in view is in shadow"
-    elif count and not has_dark:
-        why = "no pixel used is in shadow"
-    elif count and not has_lit and any(p.family == "brightness" for p in asked):
-        why = "no pixel used is lit, so only brightness × shadow is told; shadow is held"
-    if why and any(p.family == "shadow" for p in asked):
-        asked = [p for p in asked if p.family != "shadow"]
-        left_out.append(LeftOut("shadow weight", why))
+    for family in dict.fromkeys(p.family for p in asked if p.needs is not None):
+        why = _why_without_field(task, columns, asked, family)
+        if why is not None:
+            asked = [p for p in asked if p.family != family]
+            left_out.append(LeftOut(family, why))
+    fact = type(task.look).SEPARABLE
     for k, channel in enumerate(CHANNELS):
-        if all(c.color[k] == 0 for c in columns):
-            colourless = {f"tint.{channel}", f"shadow.{channel}"}
+        if fact is not None and all(c.color[k] == 0 for c in columns):
+            colourless = {f"{name}.{channel}" for name in (fact.factors, fact.weight)}
             why = f"the air's color is 0 in channel {channel}"
             left_out += [LeftOut(p.name, why) for p in asked if p.name in colourless]
             asked = [p for p in asked if p.name not in colourless]
-    tints = [p for p in asked if p.family == "tint"]
-    if tints and columns and all(len(c.copies) == 2 for c in columns):
-        named = [p.name for p in tints] if len(tints) < 3 else ["tint"]
+    factors = [p for p in asked if p.mean_one]
+    if factors and columns and all(len(c.copies) == 2 for c in columns):
+        named = [p.name for p in factors] if len(factors) < 3 else [factors[0].family]
         left_out += [LeftOut(name, "a grey photo does not tell colours") for name in named]
-        asked = [p for p in asked if p not in tints]
-        tints = []
-    if tints and not free_directions(tints, task.parameters)[0].shape[1]:
-        left_out.append(LeftOut(tints[0].name, "the mean of the tints fixes the only free one"))
-        asked.remove(tints[0])
+        asked = [p for p in asked if p not in factors]
+        factors = []
+    if factors and not free_directions(factors, task.parameters)[0].shape[1]:
+        only = factors[0]
+        left_out.append(LeftOut(only.name, f"the mean of {only.family} fixes the only free one"))
+        asked.remove(only)
     return tuple(asked), left_out
+
+
+def _why_without_field(
+    task: Task, columns: Sequence[Columns], asked: Sequence[FitParameter], family: str
+) -> str | None:
+    """Why a parameter of a field has no effect, or none of its own; None where it has."""
+    about = type(task.look).PARAMETERS[family]
+    assert about.of is not None
+    field = FIELDS[about.of]
+    if field.of_shadow and field.absent and not any(la.has_shadow for la in task.layers):
+        return field.absent
+    if not any(len(c.index) for c in columns):
+        return None
+    if not _shows(columns, about.of):
+        return field.unseen or f"{about.of} is 0 in all pixels used"
+    fact = type(task.look).SEPARABLE
+    if fact is None or _shows(columns, fact.first):
+        return None
+    if not any(p.family == fact.amplitude for p in asked):
+        return None
+    unseen = FIELDS[fact.first].unseen
+    return f"{unseen}, so only {fact.amplitude} × {family} is told; {family} is held"
+
+
+def _shows(columns: Sequence[Columns], name: str) -> bool:
+    """Some pixel has more of a field than its rounding."""
+    return any(name in c.fields and (c.fields[name] > c.width_error).any() for c in columns)
 
 
 def why_no_data(
@@ -97,8 +119,7 @@ def why_no_data(
 
 def _varies(columns: Columns) -> bool:
     """The air's width is not the same everywhere."""
-    parts = [columns.lit] if columns.dark is None else [columns.lit, columns.dark]
-    return any(float(np.ptp(part)) > 2 * columns.width_error for part in parts)
+    return any(float(np.ptp(f)) > 2 * columns.width_error for f in columns.fields.values())
 
 
 def why_airless(
@@ -120,7 +141,7 @@ def why_airless(
         return found
     unit = float(task.layers[0].width_unit)
     beside = [
-        take_columns(photo, layers, px.edges, unit)
+        take_columns(photo, layers, px.edges, unit, type(task.look))
         for photo, layers, px in zip(task.photos, task.layers, pixels, strict=True)
     ]
     shares = zip(photos, _shares(beside, evidence), strict=True)
@@ -132,13 +153,11 @@ def why_airless(
         )
         if explained or not _shows_planet(layers):
             continue
+        index = np.concatenate([columns[number].index, beside[number].index])
         widths = []
-        for of in ("lit", "dark"):
-            if getattr(columns[number], of) is None:
-                continue
+        for field in fields_at(layers, index, unit, ("lit", "dark")).values():
             full = np.zeros(np.shape(layers.front), np.float32)
-            for part in (columns[number], beside[number]):
-                full.reshape(-1)[part.index] = getattr(part, of)
+            full.reshape(-1)[index] = field
             widths.append(full)
         used = pixels[number].used | pixels[number].edges
         if task.loss != "linear" and evidence is not None:
@@ -213,10 +232,12 @@ def warnings_of(
             f"What is left over hangs together over {errors.correlation_px:.0f} pixels, which is "
             f"no noise{remedy}."
         )
+    fact = type(task.look).SEPARABLE
     if any(photo.mix is not None for photo in result.photos):
         found.append(
             "The photo is grey: copies of a channel count once, and the look is compared by its "
-            "luminance (ITU-R BT.709). What other weights would change is in brightness's interval."
+            "luminance (ITU-R BT.709). What other weights would change is in "
+            + (f"{fact.amplitude}'s interval." if fact is not None else "no interval.")
         )
     found += _value_warnings(result)
     lossy = any(isinstance(p, Photo) and p.lossy for p in task.photos)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from model_jax._fields import WIDTHS
 from model_jax._shapes import AnyArray
 
 from .._compile import float64, program
@@ -45,7 +46,7 @@ def _differences(problem: Problem, vector: Entries) -> list[Float[np.ndarray, "_
 
 
 def width_slopes_of(problem: Problem, vector: Entries) -> list[Float[np.ndarray, "_ 3"]]:
-    """By how much each used sample changes with a width of air, lit or dark, whichever is more."""
+    """By how much each used sample changes with a width of air, whichever is most."""
     samples, model = problem.samples, problem.model
     return _by_photo(problem, lambda tiles: _width_slopes(vector, samples, model, tiles))
 
@@ -86,7 +87,7 @@ def tile_groups(samples: Samples) -> Iterator[tuple[int, np.ndarray]]:
 def _residuals(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray) -> jax.Array:
     def residual(number: jax.Array) -> jax.Array:
         tile = tile_at(samples, number)
-        return tile.light - predict(vector, tile, model.linear)
+        return tile.light - predict(vector, tile, model)
 
     return jax.lax.map(residual, jnp.asarray(numbers))
 
@@ -95,18 +96,15 @@ def _residuals(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArr
 def _width_slopes(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray) -> jax.Array:
     def slopes(number: jax.Array) -> jax.Array:
         tile = tile_at(samples, number)
-        ones = jnp.ones_like(tile.lit)
+        found = jnp.zeros_like(tile.light)
+        for name in (n for n in WIDTHS if n in tile.fields):
 
-        def lit(width: jax.Array) -> jax.Array:
-            return predict(vector, replace(tile, lit=width), model.linear)
+            def seen(width: jax.Array, name: str = name) -> jax.Array:
+                fields = tile.fields | {name: width}
+                return predict(vector, replace(tile, fields=fields), model)
 
-        found = jnp.abs(jax.jvp(lit, (tile.lit,), (ones,))[1])
-        if tile.dark is None:
-            return found
-
-        def dark(width: jax.Array) -> jax.Array:
-            return predict(vector, replace(tile, dark=width), model.linear)
-
-        return jnp.maximum(found, jnp.abs(jax.jvp(dark, (tile.dark,), (ones,))[1]))
+            width = tile.fields[name]
+            found = jnp.maximum(found, jnp.abs(jax.jvp(seen, (width,), (jnp.ones_like(width),))[1]))
+        return found
 
     return jax.lax.map(slopes, jnp.asarray(numbers))

@@ -203,7 +203,7 @@ def _tile_scores(
         tile = tile_at(samples, number)
 
         def score_at(step: jax.Array) -> tuple[jax.Array, jax.Array]:
-            predicted, slopes = tile_slopes(start + columns @ step, columns, tile, model.linear)
+            predicted, slopes = tile_slopes(start + columns @ step, columns, tile, model)
             _, score, curved = weigh(predicted - tile.light, tile.clipped, model.loss)
             found = jnp.einsum("icn,cn->in", slopes, score * tile.weight[None])
             squares = jnp.einsum("icn,icn,cn->in", slopes[pairs[0]], slopes[pairs[1]], curved)

@@ -11,11 +11,12 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, UInt
 
-from model_jax import InputError, Layers
+from model_jax import InputError, Layers, LayersLook, Look
+from model_jax._composite import transmits
 
 from .._choices import Sampling
 from ._photo import REASONS, Photo
-from ._widths import rounding_of_widths, widths_of
+from ._widths import fields_at, rounding_of_widths
 
 PhotoLike = Photo | np.ndarray | jax.Array
 
@@ -44,8 +45,8 @@ class Columns:
 
     index: Int[np.ndarray, " n"]
     """Flat index of each in its photo; row by row, but those with a clipped sample last."""
-    lit: Float[np.ndarray, " n"]
-    dark: Float[np.ndarray, " n"] | None
+    fields: dict[str, Float[np.ndarray, " n"]]
+    """What the look needs, by name, as far as the layers have it."""
     light: Float[np.ndarray, "n 3"]
     """What the photo recorded, float32 of codes; for a clipped sample the bound that it tells."""
     surface: Float[np.ndarray, "n 3"] | None
@@ -59,6 +60,8 @@ class Columns:
     mix: Float[np.ndarray, "3 3"] | None = None
     """What each channel of a grey photo shows of red, green and blue. Channels that are copies of
     an earlier one have light 0 and no surface here. None where no channel is a copy."""
+    dims: bool = False
+    """The look dims the surface, which then is what it is, not what a grey photo shows of it."""
 
     @property
     def copies(self) -> list[int]:
@@ -227,12 +230,16 @@ def _border(
 
 
 def take_columns(
-    photo: PhotoLike, layers: Layers, used: Bool[np.ndarray, "h w"], width_unit: float
+    photo: PhotoLike,
+    layers: Layers,
+    used: Bool[np.ndarray, "h w"],
+    width_unit: float,
+    kind: type[Look] = LayersLook,
 ) -> Columns:
-    """The used pixels in numbers.
+    """The used pixels in numbers, for looks of a kind.
 
-    The widths are `layer_widths` of the layers' depths taken to float64: from float32 layers they
-    are the exact widths of the stored depths. A sample at a photo's highest code is known to be at
+    The fields are of the layers' depths taken to float64: from float32 layers widths are the exact
+    ones of the stored depths. A sample at a photo's highest code is known to be at
     least the light half a code below it, one at code 0 at most the light half a code above.
     """
     index = np.flatnonzero(used).astype(np.int32)  # `load_photo` reads fewer than 2^28
@@ -248,14 +255,12 @@ def take_columns(
     light = light.astype(np.result_type(light, np.float32), copy=False)
     if clipped is not None and isinstance(photo, Photo):
         light = _bounded(photo, light, clipped)
-    lit, dark = widths_of(layers, index, width_unit)
     surface = None
     if layers.surface is not None:
         surface = np.asarray(layers.surface).reshape(-1, 3)[index].astype(np.float64)
     columns = Columns(
         index=index,
-        lit=lit,
-        dark=dark,
+        fields=fields_at(layers, index, width_unit, kind.NEEDS),
         light=light,
         surface=surface,
         clipped=clipped,
@@ -265,6 +270,7 @@ def take_columns(
         if layers.width_error is None
         else np.asarray(layers.width_error).reshape(-1)[index] / width_unit,
         mix=_mix(light, clipped),
+        dims=transmits(kind),
     )
     return columns if columns.mix is None else _without_copies(columns)
 
@@ -274,19 +280,18 @@ def unlit_columns(
 ) -> Columns:
     """Any pixels of a photo of which `like` has the used ones, without light: for predictions.
 
-    Where there is no air its width is 0.
+    Where there is no air its fields are 0.
     """
     air = np.asarray(layers.has_air).reshape(-1)[index]
     with np.errstate(invalid="ignore"):
-        lit, dark = widths_of(layers, index, width_unit)
+        fields = fields_at(layers, index, width_unit, tuple(like.fields))
     surface = None
     if layers.surface is not None:
         surface = np.asarray(layers.surface).reshape(-1, 3)[index].astype(np.float64)
     found = replace(
         like,
         index=index,
-        lit=np.where(air, lit, 0),
-        dark=None if dark is None else np.where(air, dark, 0),
+        fields={name: np.where(air, field, 0) for name, field in fields.items()},
         light=np.zeros((len(index), 3), like.light.dtype),
         surface=surface,
         clipped=None,
@@ -313,10 +318,13 @@ def _without_copies(columns: Columns) -> Columns:
     """Copies count once: the first channel of those that are equal."""
     assert columns.mix is not None
     own = np.isin(np.arange(3), columns.copies, invert=True)
+    surface = columns.surface
+    if surface is not None and not columns.dims:
+        surface = surface @ columns.mix.T * own
     return replace(
         columns,
         light=columns.light * own.astype(columns.light.dtype),
-        surface=None if columns.surface is None else columns.surface @ columns.mix.T * own,
+        surface=surface,
         clipped=None if columns.clipped is None else columns.clipped * own.astype(np.int8),
     )
 

@@ -1,25 +1,32 @@
-"""Lit and dark widths of a photo's used pixels, in pieces of one size."""
+"""Fields of a photo's pixels, in pieces of one size."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from model_jax import Layers, layer_widths
+from model_jax import Layers
+from model_jax._fields import fields_of, uses_shadow
 from model_jax._shapes import AnyArray
 
 from .._compile import float64
 
 _CHUNK = 65536
 """Pixels at once: half a megabyte for each array on the way."""
-_jit_widths = jax.jit(layer_widths)
+_jit_fields = partial(jax.jit, static_argnames="needs")(fields_of)
 
 
-def widths_of(
-    layers: Layers, index: np.ndarray, unit: float
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"] | None]:
-    """Widths in float64 whatever JAX's setting, in pieces of one size so that JAX compiles once."""
-    lit = np.empty(index.size)
-    dark = np.empty(index.size) if layers.has_shadow else None
+def fields_at(
+    layers: Layers, index: np.ndarray, unit: float, needs: Sequence[str]
+) -> dict[str, Float[np.ndarray, " n"]]:
+    """Fields in float64 whatever JAX's setting, in pieces of one size so that JAX compiles once.
+
+    Raises `InputError` naming a field that the layers cannot give.
+    """
+    found: dict[str, np.ndarray] = {}
 
     def part(depth: AnyArray, chosen: np.ndarray) -> np.ndarray:
         """Depths [1, chunk] of the chosen pixels, or of several shadows [n, 1, chunk]."""
@@ -29,19 +36,22 @@ def widths_of(
         return row
 
     shadows = [s for s in (layers.shadow_front, layers.shadow_back) if s is not None]
+    shadows = shadows if uses_shadow(needs) else []
+    maps = {"planet": layers.planet if "planet" in needs else None, "stretch": layers.stretch}
     with float64():
-        for start in range(0, index.size, _CHUNK):
+        for start in range(0, max(index.size, 1), _CHUNK):  # of no pixels their names are told
             end = min(start + _CHUNK, index.size)
             chosen = index[start:end]
             front, back = part(layers.front, chosen), part(layers.back, chosen)
             begin, until = [part(s, chosen) for s in shadows] or (None, None)
-            stretch = None if layers.stretch is None else part(layers.stretch, chosen)
-            piece = Layers(front, back, begin, until, width_unit=unit, stretch=stretch)
-            lit_piece, dark_piece = _jit_widths(piece)
-            lit[start:end] = np.asarray(lit_piece)[0, : end - start]
-            if dark is not None:
-                dark[start:end] = np.asarray(dark_piece)[0, : end - start]
-    return lit, dark
+            more: dict[str, Any] = {
+                name: None if m is None else part(m, chosen) for name, m in maps.items()
+            }
+            piece = Layers(front, back, begin, until, width_unit=unit, **more)
+            for name, field in _jit_fields(piece, needs=tuple(needs)).items():
+                whole = found.setdefault(name, np.empty(index.size))
+                whole[start:end] = np.asarray(field)[0, : end - start]
+    return found
 
 
 def rounding_of_widths(layers: Layers, used: Bool[np.ndarray, "h w"], unit: float) -> float:

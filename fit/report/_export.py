@@ -22,15 +22,12 @@ from pathlib import Path
 from typing import Any
 
 from model_jax._errors import InputError, printable
-from model_jax._parameter import PARAMETERS
+from model_jax._parameter import PER_UNIT, Shape
 from render_gl._files import PathLike, write_whole
 
 from .._numbers import share
 from .._verdict import Verdict
 from ._fitted import PATHS, Fitted, Number, explain, of_family, of_kind, quoted
-
-UNIFORM_TYPES = {"brightness": "float", "shadow": "vec3", "tint": "vec3", "background": "vec3"}
-"""As `combine.glsl` declares them; background is the frame buffer's part there, per channel."""
 
 
 class Format(StrEnum):
@@ -46,7 +43,7 @@ class Format(StrEnum):
 def export_text(fitted: Fitted, to: Format) -> str:
     """A fit in another format, as a whole file's text that ends in a line break.
 
-    - glsl: `const` lines that replace the uniforms of the same names in `combine.glsl`. Each
+    - glsl: `const` lines that replace the uniforms of the same names in the look's GLSL. Each
       literal is the shortest that reads back as the float32 nearest to the value. ASCII only.
     - glsl-uniform: declarations of the same names, with the values as comments. Both compile in
       OpenGL from 3.3 and in OpenGL ES from 3.0, so in WebGL 2, as they are.
@@ -119,27 +116,30 @@ def _float32(value: float) -> float:
 
 def _glsl(fitted: Fitted) -> str:
     lines = [f"// {line}" for line in _heading(fitted)]
-    lines += ["// Replaces the uniforms of the same names in combine.glsl:"]
-    lines += ["// light = brightness * color.rgb * tint * (lit + shadow * dark) + background,"]
-    lines += ["// with lit and dark the widths of air on the ray, divided by width_unit.", ""]
-    for family, shape in UNIFORM_TYPES.items():
+    lines += [f"// Replaces the uniforms of the same names in {_plain(fitted.kind)}.glsl:"]
+    lines += [f"// {line}" for line in textwrap.wrap(_plain(fitted.light), 96)]
+    lines += ["// Widths of air on the ray are divided by width_unit; background is added.", ""]
+    for family, shape in fitted.shapes.items():
         lines.append(_constant(family, shape, of_family(fitted, family)))
     color = tuple(number for number in fitted.scene if number.name.startswith("color."))
     lengths = [number for number in fitted.scene if number not in color]
     if len(color) == 4:
-        lines.append(_constant("color", "vec4", color))
-    lines += [
-        "",
-        "// brightness is per width_unit = far - near of the fitted scene. With one of your own,",
-        "// multiply brightness by your own far - near over this one's, in the same length unit.",
-        *(_constant(number.name, "float", (number,)) for number in lengths),
-    ]
+        lines.append(_constant("color", "rgba", color))
+    lines += [""]
+    if per := " and ".join(_per_unit(fitted)):
+        verb = "are" if len(_per_unit(fitted)) > 1 else "is"
+        lines += [
+            f"// {per} {verb} per width_unit = far - near of the fitted scene. With one of your",
+            f"// own, multiply {per} by your own far - near over this one's, in the same length",
+            "// unit.",
+        ]
+    lines += [_constant(number.name, "number", (number,)) for number in lengths]
     if response := of_kind(fitted, "response"):
         lines += [
             "",
             "// Camera response of each photo, not part of the look:",
             "// recorded = black_level + pow(exposure * light, 1.0 / gamma)",
-            *(_constant(number.name.replace(".", "_"), "float", (number,)) for number in response),
+            *(_constant(number.name.replace(".", "_"), "number", (number,)) for number in response),
         ]
     return "\n".join(lines) + "\n"
 
@@ -148,7 +148,7 @@ def _glsl_uniform(fitted: Fitted) -> str:
     """The same names for a program to set, to the values in the comments: OpenGL ES knows no
     uniforms with a default."""
     text = re.sub(
-        r"^const (highp \w+ \w+) = (.*?);(?:  // )?(.*)$",
+        r"^const (highp \w+ [\w\[\]]+) = (.*?);(?:  // )?(.*)$",
         lambda found: (
             f"uniform {found[1]};  // set to {found[2]}" + (f"; {found[3]}" if found[3] else "")
         ),
@@ -158,31 +158,47 @@ def _glsl_uniform(fitted: Fitted) -> str:
     return text.replace("// Replaces the uniforms", "// The uniforms")
 
 
-def _constant(identifier: str, shape: str, numbers: tuple[Number, ...]) -> str:
+def _per_unit(fitted: Fitted) -> list[str]:
+    """Parameters that are per width unit."""
+    names = [number.name.partition(".")[0] for number in fitted.numbers if number.unit == PER_UNIT]
+    return list(dict.fromkeys(names))
+
+
+_GLSL_TYPES = {"number": "float", "rgb": "vec3", "either": "vec3", "rgba": "vec4"}
+
+
+def _constant(identifier: str, shape: Shape | str, numbers: tuple[Number, ...]) -> str:
     """One line: declaration, and a comment with unit, error and meaning."""
     try:
         literals = [float_literal(number.value) for number in numbers]
     except InputError as error:
         raise InputError(f"{numbers[0].name}: {error}") from None
-    value = literals[0] if shape == "float" else f"{shape}({', '.join(literals)})"
+    if isinstance(shape, int):
+        # ES wants the size behind the name in declarations, and before the brackets of the value.
+        type_, name = "float", f"{identifier}[{shape}]"
+        value = f"float[{shape}]({', '.join(literals)})"
+    else:
+        type_, name = _GLSL_TYPES[shape], identifier
+        value = literals[0] if type_ == "float" else f"{type_}({', '.join(literals)})"
     about = [numbers[0].unit] if numbers[0].unit not in ("", "1") else []
     about += [remark] if (remark := _remark(numbers)) else []
     comment = "; ".join([", ".join(about), numbers[0].meaning] if about else [numbers[0].meaning])
     # Older GLSL takes ASCII only, and a backslash at the end of a line continues the comment.
     comment = _plain(comment).rstrip("; ")
     # OpenGL ES has no precision of its own for fragments, and the least one ends at 16,384.
-    return f"const highp {shape} {identifier} = {value};" + (f"  // {comment}" if comment else "")
+    return f"const highp {type_} {name} = {value};" + (f"  // {comment}" if comment else "")
 
 
 def _toml(fitted: Fitted) -> str:
     lines = [f"# {line}" for line in _heading(fitted)]
     if unit := next((n for n in fitted.scene if n.name == "width_unit"), None):
-        lines += [
-            f"# brightness is per far - near = {unit.value!r}; with another one in the scene,",
-            "# multiply brightness by the scene's own far - near over this one.",
-        ]
-    lines += ["", "[look]"]
-    for family in PARAMETERS:
+        for name in _per_unit(fitted):
+            lines += [
+                f"# {name} is per far - near = {unit.value!r}; with another one in the scene,",
+                f"# multiply {name} by the scene's own far - near over this one.",
+            ]
+    lines += ["", "[look]", f"kind = {quoted(fitted.kind)}"]
+    for family in fitted.shapes:
         numbers = of_family(fitted, family)
         values = [repr(number.value) for number in numbers]
         value = values[0] if len(values) == 1 else f"[{', '.join(values)}]"
@@ -194,7 +210,7 @@ def _toml(fitted: Fitted) -> str:
 
 
 def _json(fitted: Fitted) -> str:
-    flat: dict[str, Any] = {"verdict": fitted.verdict}
+    flat: dict[str, Any] = {"verdict": fitted.verdict, "look": fitted.kind}
     if fitted.warnings:
         flat["warnings"] = " ".join(fitted.warnings)
     if fitted.atmosphere_path is not None:

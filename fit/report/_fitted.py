@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from model_jax._errors import InputError, shown
-from model_jax._parameter import PARAMETERS, RESPONSE_PARAMETERS
+from model_jax._parameter import RESPONSE_PARAMETERS, Parameter, Shape
 from render_gl._files import PathLike, check_file
 
 from .._choices import CHANNELS
 from .._verdict import VERDICTS, Verdict
 
-SCHEMA = 2
+SCHEMA = 3
 """Form of the fit.json that this version writes and reads."""
 
 PATHS = {
@@ -36,7 +36,7 @@ class Number:
     """One number of a fit."""
 
     name: str
-    """As in fit.json: brightness, tint.r, exposure.2 …"""
+    """As in fit.json: a parameter, one channel of a colour, one of several photos' …"""
     value: float
     """Finite."""
     stderr: float | None
@@ -60,13 +60,19 @@ class Fitted:
     """A `Verdict`'s label."""
     sources: tuple[tuple[str, str | None], ...]
     """Each photo, with its scene file or layer file."""
+    kind: str
+    """Name of the look."""
+    light: str
+    """What it makes of the air, in a line."""
+    shapes: dict[str, Shape]
+    """Its parameters, in their order, and what each is."""
     explained: float | None
     """Share of the light's variance that the model explains."""
     numbers: tuple[Number, ...]
     """All parameters: of the look, then of the response photo by photo."""
     scene: tuple[Number, ...]
-    """What the look refers to, as far as the file has it: width_unit, brightness_per_length,
-    color.r … color.a, planet_radius, atmosphere_height."""
+    """What the look refers to, as far as the file has it: width_unit, NAME_per_length of what is
+    per width unit, color.r … color.a, planet_radius, atmosphere_height."""
     atmosphere_path: str | None
     """How widths are measured, a key of `PATHS`."""
     warnings: tuple[str, ...]
@@ -123,26 +129,51 @@ def _fitted(path: str, document: Any) -> Fitted:
             f"the verdict is no_data ({sentence.lower()}), its values are the start's; {remedy}, "
             "and fit again"
         )
-    numbers = {name: _number(name, entry) for name, entry in document["parameters"].items()}
-    _check_look({name: number.value for name, number in numbers.items()})
+    kind, light, shapes = _look(document.get("look"))
+    entries = document["parameters"]
+    numbers = {name: _number(name, entry, shapes) for name, entry in entries.items()}
+    for family, shape in shapes.items():
+        _check_family(family, shape, numbers, entries)
     warnings = document["warnings"] if isinstance(document.get("warnings"), list) else []
     warnings = [*warnings, *_other_scenes(document)]
     return Fitted(
         path=path,
         verdict=verdict,
         sources=tuple(_sources(document)),
+        kind=kind,
+        light=light,
+        shapes=shapes,
         explained=_finite(document.get("explained")),
-        numbers=tuple(sorted(numbers.values(), key=_rank)),
+        numbers=tuple(sorted(numbers.values(), key=lambda number: _rank(number, shapes))),
         scene=tuple(_scene(document)),
         atmosphere_path=next((p for p in PATHS if p == document.get("atmosphere_path")), None),
         warnings=tuple(text for text in warnings if isinstance(text, str)),
     )
 
 
-def _number(name: str, entry: Any) -> Number:
+def _look(entry: Any) -> tuple[str, str, dict[str, Shape]]:
+    """Name, line and parameters of the look."""
+    again = "run the fit again"
+    shapes = entry.get("shapes") if isinstance(entry, dict) else None
+    if not isinstance(entry, dict) or not isinstance(shapes, dict) or not shapes:
+        raise InputError(f"has no table `look` with its parameters; {again}")
+    for name, shape in shapes.items():
+        # They become identifiers of shaders.
+        if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII) or name.startswith("gl_"):
+            raise InputError(f"look: {shown(name)} is no name of a parameter; {again}")
+        table = isinstance(shape, int) and not isinstance(shape, bool) and 1 <= shape <= 4096
+        if shape not in ("number", "rgb", "either") and not table:
+            raise InputError(f"look: {name} has the shape {shown(shape)}, which is none; {again}")
+    kind = entry.get("kind")
+    if not isinstance(kind, str) or not kind:
+        raise InputError(f"look: kind is {shown(kind)}, which is no name; {again}")
+    return kind, str(entry.get("light") or ""), dict(shapes)
+
+
+def _number(name: str, entry: Any, shapes: dict[str, Shape]) -> Number:
     """One entry of `parameters`."""
-    about = _known(name)
-    if about is None:
+    response = _response(name)
+    if response is None and _family(name, shapes) is None:
         raise InputError(f"parameters: {shown(name)} is no parameter; run the fit again")
     if not isinstance(entry, dict) or "value" not in entry:
         raise InputError(f"parameters: {name} has no value; run the fit again")
@@ -165,31 +196,40 @@ def _number(name: str, entry: Any) -> Number:
         free=entry.get("free") is True,
         role=role,
         tied_to=None if entry.get("tied_to") is None else str(entry["tied_to"]),
-        unit=about.unit,
-        meaning=about.meaning,
+        unit=str(entry.get("unit") or "") if response is None else response.unit,
+        meaning=str(entry.get("meaning") or "") if response is None else response.meaning,
     )
 
 
-def _check_look(values: dict[str, float]) -> None:
-    """Raise `InputError` unless the values hold a look that `Look` would take."""
-    for family, about in PARAMETERS.items():
-        channels = [f"{family}.{channel}" for channel in CHANNELS]
-        there = [name for name in (family, *channels) if name in values]
-        if there not in ([family], channels):
-            state = f"has {' and '.join(there)} only" if there else f"has no {family}"
-            if family in there:
-                state = f"has {family} as one number and per channel"
-            raise InputError(f"parameters: {state}; run the fit again")
-        if there != {"brightness": [family], "tint": channels}.get(family, there):
+def _check_family(
+    family: str, shape: Shape, numbers: dict[str, Number], entries: dict[str, Any]
+) -> None:
+    """Raise `InputError` unless the numbers of a parameter are all there, each in its range."""
+    parts = _parts(family, shape)
+    there = [name for name in (family, *parts) if name in numbers]
+    if there not in ([family], parts):
+        state = f"has {' and '.join(there)} only" if there else f"has no {family}"
+        if family in there:
+            many = "in rows" if isinstance(shape, int) else "per channel"
+            state = f"has {family} as one number and {many}"
+        raise InputError(f"parameters: {state}; run the fit again")
+    if shape != "either" and there != ([family] if shape == "number" else parts):
+        form = "one number" if shape == "number" else f"{len(parts)} numbers"
+        raise InputError(f"parameters: {family} must be {form}; run the fit again")
+    for name in there:
+        bounds = entries[name].get("bounds")
+        lower = _finite(bounds[0]) if isinstance(bounds, list) and bounds else None
+        if lower is not None and numbers[name].value < lower:
             raise InputError(
-                "parameters: brightness must be one number, and tint three; run the fit again"
+                f"look.{family}: {shown(numbers[name].value)} must be at least {lower:g}; run the "
+                "fit again"
             )
-        for name in there:
-            if values[name] < about.lower:
-                raise InputError(
-                    f"look.{family}: {shown(values[name])} must be at least {about.lower:g}; run "
-                    "the fit again"
-                )
+
+
+def _parts(family: str, shape: Shape) -> list[str]:
+    """Names of the parts of a colour or a table."""
+    endings = [str(k + 1) for k in range(shape)] if isinstance(shape, int) else CHANNELS
+    return [f"{family}.{ending}" for ending in endings]
 
 
 def _photos(document: dict[str, Any]) -> list[dict[str, Any]]:
@@ -210,18 +250,18 @@ def _scene(document: dict[str, Any]) -> Iterator[Number]:
     found: dict[str, tuple[Any, str, str]] = {
         name: (document.get(name), unit, meaning)
         for name, unit, meaning in (
-            ("width_unit", "scene length", "far - near of the fit, which brightness refers to"),
-            ("brightness_per_length", "1/scene length", "brightness / width_unit"),
+            ("width_unit", "scene length", "far - near of the fit, which widths refer to"),
             ("planet_radius", "scene length", "of the planet without its air"),
             ("atmosphere_height", "scene length", "of the shell of air above the planet"),
         )
     }
+    per_length = document.get("per_length")
+    for name, value in (per_length if isinstance(per_length, dict) else {}).items():
+        found[f"{name}_per_length"] = (value, "1/scene length", f"{name} / width_unit")
     color = document.get("color")
     for k, channel in enumerate("rgba"):
         value = color[k] if isinstance(color, list) and len(color) == 4 else None
-        meaning = (
-            "coverage where there is air" if channel == "a" else "of the air, which tint multiplies"
-        )
+        meaning = "coverage where there is air" if channel == "a" else "of the air"
         found[f"color.{channel}"] = (value, "linear light" if channel != "a" else "1", meaning)
     for name, (value, unit, meaning) in found.items():
         if (number := _finite(value)) is not None:
@@ -248,29 +288,34 @@ def _finite(value: Any) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _rank(number: Number) -> tuple[int, int, int, int]:
+def _rank(number: Number, shapes: dict[str, Shape]) -> tuple[int, int, int, int]:
     """Look first, in its own order, then photo by photo the response."""
     family, _, ending = number.name.partition(".")
-    if family in PARAMETERS:
-        channel = CHANNELS.index(ending) if ending in CHANNELS else -1
-        return (0, 0, list(PARAMETERS).index(family), channel)
+    if family in shapes:
+        parts = [family, *_parts(family, shapes[family])]
+        return (0, 0, list(shapes).index(family), parts.index(number.name))
     return (1, int(ending or 1), list(RESPONSE_PARAMETERS).index(family), -1)
 
 
-def _known(name: str) -> Any:
-    """The entry of `PARAMETERS` or `RESPONSE_PARAMETERS` that a name belongs to, or None."""
+def _family(name: str, shapes: dict[str, Shape]) -> str | None:
+    """The parameter of the look that a name belongs to, or None."""
+    family = name.partition(".")[0]
+    known = family in shapes and name in (family, *_parts(family, shapes[family]))
+    return family if known else None
+
+
+def _response(name: str) -> Parameter | None:
+    """The entry of `RESPONSE_PARAMETERS` that a name belongs to, or None."""
     family, dot, ending = name.partition(".")
-    if family in PARAMETERS and (not dot or ending in CHANNELS):
-        return PARAMETERS[family]
-    if family in RESPONSE_PARAMETERS and (not dot or re.fullmatch("[1-9][0-9]{0,8}", ending)):
-        return RESPONSE_PARAMETERS[family]
-    return None
+    if dot and not re.fullmatch("[1-9][0-9]{0,8}", ending):
+        return None
+    return RESPONSE_PARAMETERS.get(family)
 
 
 def of_kind(fitted: Fitted, kind: str) -> tuple[Number, ...]:
     """The numbers that are of the "look" or the "response"."""
     wanted = ("look", "response").index(kind)
-    return tuple(number for number in fitted.numbers if _rank(number)[0] == wanted)
+    return tuple(number for number in fitted.numbers if _rank(number, fitted.shapes)[0] == wanted)
 
 
 def explain(verdict: str) -> tuple[str, str]:
@@ -279,7 +324,7 @@ def explain(verdict: str) -> tuple[str, str]:
 
 
 def of_family(fitted: Fitted, family: str) -> tuple[Number, ...]:
-    """The one number of a look's field, or its three; a vec3 of one number is GLSL's own form."""
+    """A look's parameter: one number, or its parts; a vec3 of one number is GLSL's own form."""
     return tuple(n for n in of_kind(fitted, "look") if n.name.partition(".")[0] == family)
 
 

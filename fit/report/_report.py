@@ -170,9 +170,8 @@ def _facts(document: dict[str, Any]) -> list[tuple[str, str]]:
     facts.append(("pixels used", grouped(pixels.get("used", 0))))
     free = [e for e in (document.get("parameters") or {}).values() if e.get("free")]
     facts.append(("numbers fitted", str(len(free))))
-    per_length = document.get("brightness_per_length")
-    if per_length is not None:
-        facts.append(("brightness per scene unit", number(per_length)))
+    for name, per_length in (document.get("per_length") or {}).items():
+        facts.append((f"{name} per scene unit", number(per_length)))
     if document.get("loss", "linear") != "linear":
         facts.append(("robust loss", str(document["loss"]).replace("_", "-")))
     return facts

@@ -4,9 +4,9 @@ A solver knows no bounds; it moves `u` on the whole line, and these maps take `u
 its range. All are smooth, strictly increasing and exactly invertible, and for values far from a
 bound they are close to straight lines, which keeps a linear problem nearly linear. The two with one
 bound are `lower + s (u + √(u² + 4)) / 2` (slope 1 far above, a hyperbola near the bound), the one
-with two is `middle + half-width · u / √(1 + u²)`. Tints use the isometric log-ratio of Egozcue et
-al. ("Isometric logratio transformations for compositional data analysis", Math. Geology 35, 2003):
-n positive numbers of a fixed sum are n - 1 free ones.
+with two is `middle + half-width · u / √(1 + u²)`. Factors of one sum use the isometric log-ratio of
+Egozcue et al. ("Isometric logratio transformations for compositional data analysis", Math. Geology
+35, 2003): n positive numbers of a fixed sum are n - 1 free ones.
 
 A bound itself lies at infinity: a value on one has to be moved inside by `inside` first.
 NaN goes in and comes out.
@@ -76,7 +76,7 @@ def inside(
     return np.minimum(np.maximum(value, lower + margin), upper - margin)
 
 
-def to_tints(
+def to_shares(
     u: Float[AnyArray, " m"], basis: Float[AnyArray, "n m"], total: AnyArray | float
 ) -> Float[AnyArray, " n"]:
     """n positive numbers whose sum is `total`; the columns of `basis` are orthonormal and sum to 0.
@@ -91,13 +91,13 @@ def to_tints(
     return total * shares / xp.where(member.any(), shares.sum(), 1)
 
 
-def from_tints(
-    tints: Float[np.ndarray, " n"], basis: Float[np.ndarray, "n m"]
+def from_shares(
+    shares: Float[np.ndarray, " n"], basis: Float[np.ndarray, "n m"]
 ) -> Float[np.ndarray, " m"]:
     """The coordinates of positive numbers; NaN for what is not positive."""
     member = (basis != 0).any(axis=1)
-    positive = np.where(member, tints, 1.0) > 0
-    logs = np.where(positive, np.log(np.where(positive & member, tints, 1.0)), np.nan)
+    positive = np.where(member, shares, 1.0) > 0
+    logs = np.where(positive, np.log(np.where(positive & member, shares, 1.0)), np.nan)
     return np.asarray(basis.T @ logs)
 
 

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from model_jax import PARAMETERS, RESPONSE_PARAMETERS, InputError, Look, Response
+from model_jax import RESPONSE_PARAMETERS, InputError, Look, Response
 from model_jax._errors import shown
 
 from .._choices import CHANNELS
-from ._parameters import FAMILIES, LOOK_ENTRIES, RESPONSE_ENTRIES, FitParameter, Prior
+from ._layout import RESPONSE_ENTRIES, Layout
+from ._parameters import FitParameter, Prior
 
 NARROWEST = 1e-100
 """Least standard deviation of a prior: the square of float32 light over it is in float64's range,
@@ -78,7 +79,7 @@ def declare(
             circle of ties, a start that is not a number, bounds or a prior of what is held.
     """
     parameters = {p.name: p for p in _unchanged(look, responses)}
-    names = default_free(len(responses)) if free is None else free
+    names = default_free(type(look), len(responses)) if free is None else free
     if not isinstance(names, Iterable):
         raise InputError(f"free: is {shown(names)}; give names, such as {_choices(parameters)[:2]}")
     for name in _expand("free", names, parameters):
@@ -116,23 +117,31 @@ def declare(
     return tuple(parameters.values())
 
 
-def default_free(photos: int) -> tuple[str, ...]:
+def default_free(kind: type[Look], photos: int) -> tuple[str, ...]:
     """What is fitted when nobody says: the look; with several photos levels and exposures too.
 
     Exposures are relative to the first photo's, and each photo's level is its own.
     """
     if photos == 1:
-        return tuple(PARAMETERS)
+        return tuple(kind.PARAMETERS)
     exposures = [f"exposure.{k}" for k in range(2, photos + 1)]
-    return ("brightness", "shadow", "tint", "black_level", *exposures)
+    own = [name for name in kind.PARAMETERS if name not in Look.PARAMETERS]
+    return (*own, "black_level", *exposures)
 
 
 def _unchanged(look: Look, responses: Sequence[Response]) -> list[FitParameter]:
     """All parameters, fixed, with the meaning that the look and the response give them."""
     found: list[FitParameter] = []
+    layout = Layout(type(look))
+    # What hangs on a field is told after what does not, and the frame's own last.
+    ordered = sorted(
+        layout.kind.PARAMETERS,
+        key=lambda name: (name in Look.PARAMETERS, layout.kind.PARAMETERS[name].of is not None),
+    )
+    orders = {name: k for k, name in enumerate([*ordered, *RESPONSE_PARAMETERS])}
 
     def add(name: str, family: str, entries: tuple[int, ...], value: Any) -> None:
-        about = FAMILIES[family]
+        about = layout.families[family]
         found.append(
             FitParameter(
                 name=name,
@@ -145,22 +154,26 @@ def _unchanged(look: Look, responses: Sequence[Response]) -> list[FitParameter]:
                 scale=about.scale,
                 meaning=about.meaning,
                 role="fixed",
+                order=orders[family],
+                mean_one=about.mean_one,
+                needs=about.of,
             )
         )
 
-    for family, start in (("brightness", 0), ("shadow", 1), ("tint", 4), ("background", 7)):
+    for family, part in layout.slices.items():
         value = getattr(look, family)
-        if family == "brightness":
-            add(family, family, (start,), value)
-        elif np.shape(value) == ():
-            add(family, family, (start, start + 1, start + 2), value)
+        entries = tuple(range(part.start, part.stop))
+        if np.shape(value) == ():
+            add(family, family, entries, value)
         else:
-            for k, channel in enumerate(CHANNELS):
-                add(f"{family}.{channel}", family, (start + k,), value[k])
+            table = isinstance(layout.kind.PARAMETERS[family].shape, int)
+            endings = [str(k + 1) for k in range(len(entries))] if table else CHANNELS
+            for entry, ending, number in zip(entries, endings, value, strict=True):
+                add(f"{family}.{ending}", family, (entry,), number)
     for number, response in enumerate(responses):
         ending = f".{number + 1}" if len(responses) > 1 else ""
         for k, family in enumerate(RESPONSE_PARAMETERS):
-            entry = LOOK_ENTRIES + RESPONSE_ENTRIES * number + k
+            entry = layout.size + RESPONSE_ENTRIES * number + k
             add(family + ending, family, (entry,), getattr(response, family))
     return found
 

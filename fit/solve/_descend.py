@@ -21,10 +21,10 @@ from model_jax._shapes import AnyArray
 
 from .._choices import SolverName, check_solver
 from .._compile import float64, program
-from ._bijections import to_tints, to_value
+from ._bijections import to_shares, to_value
 from ._gram import compressed, gram
 from ._model import Model
-from ._parameters import TINT, Chart, Entries
+from ._parameters import Chart, Entries
 from ._samples import Samples, tile_at
 from ._scaled import unit_diagonal
 
@@ -63,10 +63,11 @@ class Atlas(eqx.Module):
     lower: Float[AnyArray, " q"]
     upper: Float[AnyArray, " q"]
     scale: Float[AnyArray, " q"]
-    basis: Float[AnyArray, "3 m"]
-    tint_total: Float[AnyArray, ""]
+    basis: Float[AnyArray, "n m"]
+    total: Float[AnyArray, ""]
     start: Float[AnyArray, " p"]
     whiten: Float[AnyArray, "p p"]
+    shares: int = eqx.field(static=True)
 
     def entries(self, step: Float[AnyArray, " p"]) -> Float[jax.Array, " e"]:
         """The vector after a step."""
@@ -76,8 +77,8 @@ class Atlas(eqx.Module):
         vector = jnp.asarray(self.base) + self.matrix @ values
         if not self.basis.shape[1]:
             return vector
-        tints = to_tints(u[plain:], jnp.asarray(self.basis), self.tint_total)
-        return vector.at[TINT].add(tints)
+        factors = to_shares(u[plain:], jnp.asarray(self.basis), self.total)
+        return vector.at[self.shares : self.shares + len(factors)].add(factors)
 
 
 @eqx.filter_jit
@@ -132,9 +133,10 @@ def descend(
             upper=jnp.asarray(chart.upper),
             scale=jnp.asarray(chart.scale),
             basis=jnp.asarray(chart.basis),
-            tint_total=jnp.asarray(chart.tint_total),
+            total=jnp.asarray(chart.total),
             start=jnp.asarray(chart.start),
             whiten=jnp.asarray(np.eye(p)),
+            shares=chart.shares,
         )
         found = jax.device_get(_run(solver, atlas, samples, model, max_steps))
     start, end, first, history, count = found
@@ -184,7 +186,7 @@ def _light(samples: Samples) -> Float[jax.Array, ""]:
         tile = tile_at(samples, index)
         return total + (tile.light**2 * tile.weight[None]).sum()
 
-    return jax.lax.fori_loop(0, samples.used, add, jnp.zeros((), samples.lit.dtype))
+    return jax.lax.fori_loop(0, samples.used, add, jnp.zeros((), samples.like.dtype))
 
 
 def _whitening(curved: Float[jax.Array, "p p"]) -> Float[jax.Array, "p p"]:

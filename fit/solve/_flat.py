@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ._parameters import BRIGHTNESS, Entries, FitParameter
+from model_jax._fields import WIDTHS
+
+from ._parameters import Entries, FitParameter
 from ._problem import Point, Problem
 from ._samples import TILE
 from ._scaled import unit_diagonal
@@ -46,7 +48,7 @@ def find_flat(
     curved = gram[:-1, :-1]
     for column, parameters in enumerate(moved):
         if not curved[column, column] > 0:
-            return Flat(parameters, _no_effect(vector, parameters[0]))
+            return Flat(parameters, _no_effect(point, parameters[0]))
     if len(curved) < 2:
         return None
     scaled, size = unit_diagonal(curved)
@@ -61,16 +63,21 @@ def find_flat(
 
 def _threshold(problem: Problem) -> float:
     """Share below which a scaled singular value is rounding, of the sums or of the widths."""
-    square_sum = sum(float(c.lit @ c.lit) for c in problem.columns)
-    square_sum += sum(float(c.dark @ c.dark) for c in problem.columns if c.dark is not None)
-    n = sum(len(c.lit) for c in problem.columns)
+    widths = [c.fields[n] for n in WIDTHS for c in problem.columns if n in c.fields]
+    if not widths:
+        return RESOLUTION
+    square_sum = sum(float(width @ width) for width in widths)
+    n = sum(len(c.index) for c in problem.columns)
     error = max(c.width_error for c in problem.columns)
     return float(RESOLUTION + 2 * error * np.sqrt(n / square_sum)) if square_sum > 0 else 1.0
 
 
-def _no_effect(vector: Entries, parameter: FitParameter) -> str:
-    if vector[BRIGHTNESS] == 0 and parameter.family in ("tint", "shadow"):
-        return "brightness is 0, so it has no effect"
+def _no_effect(point: Point, parameter: FitParameter) -> str:
+    layout = point.problem.model.layout
+    fact = layout.kind.SEPARABLE
+    factors = () if fact is None else (fact.factors, fact.weight)
+    if fact and parameter.family in factors and not layout.values(point.vector)[fact.amplitude]:
+        return f"{fact.amplitude} is 0, so it has no effect"
     return "it has no effect in the pixels used"
 
 
@@ -86,13 +93,13 @@ def _words(
     if len(members) == 2 and len(names) == 2:
         change = np.array([step[j] for j in members])
         value = np.array([float(moved[j][0].of(vector)) for j in members])
-        tints = any(moved[j][0].family == "tint" for j in members)
+        shares = any(moved[j][0].mean_one for j in members)
         relative = change / np.where(value != 0, value, np.nan)
-        if not tints and np.isclose(relative[0], -relative[1], rtol=1e-2):
+        if not shares and np.isclose(relative[0], -relative[1], rtol=1e-2):
             return f"the photo tells {listed} only as a product; {_remedy(names)}"
-        if not tints and np.isclose(relative[0], relative[1], rtol=1e-2):
+        if not shares and np.isclose(relative[0], relative[1], rtol=1e-2):
             return f"the photo tells {listed} only as a ratio; {_remedy(names)}"
-        if not tints and np.isclose(change[0], -change[1], rtol=1e-2):
+        if not shares and np.isclose(change[0], -change[1], rtol=1e-2):
             return f"the photo tells {listed} only as a sum; {_remedy(names)}"
     if len(names) == 1:
         return "it has no effect in the pixels used"
@@ -105,4 +112,4 @@ def _remedy(names: Sequence[str]) -> str:
 
 
 def _name(parameters: tuple[FitParameter, ...]) -> str:
-    return "tint" if len(parameters) > 1 else parameters[0].name
+    return parameters[0].family if len(parameters) > 1 else parameters[0].name

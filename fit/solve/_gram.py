@@ -10,8 +10,8 @@ the cost, its Jacobian times itself is the gradient and its Jacobian squared the
 So Levenberg–Marquardt, dogleg, BFGS and the rest of optimistix run over a photo of any size in the
 memory of one tile, one pass a step, and none of them knows.
 
-The same tiles hold less than all pixels: `bins` averages pixels with alike widths, and `moments`
-makes nine pseudo-pixels that stand for all, without loss where the model is linear.
+The same tiles hold less than all pixels: `bins` averages pixels with alike fields, and `moments`
+makes a few pseudo-pixels that stand for all, without loss where the model is linear in its fields.
 """
 
 from collections.abc import Callable
@@ -42,25 +42,30 @@ def gram(
     """The matrix G of one pass, q = p + 1."""
     directions = jnp.asarray(directions)
     if samples.clipped is None and model.loss.name == "linear" and model.linear:
-        total = _linear_gram(entries, directions, samples)
+        total = _linear_gram(entries, directions, samples, model)
     else:
         total = _general_gram(entries, directions, samples, model)
     return total if model.prior is None else total + _prior_gram(entries, directions, model.prior)
 
 
 def _linear_gram(
-    entries: Float[AnyArray, " e"], directions: Float[AnyArray, "e p"], samples: Samples
+    entries: Float[AnyArray, " e"],
+    directions: Float[AnyArray, "e p"],
+    samples: Samples,
+    model: Model,
 ) -> Float[jax.Array, "q q"]:
     """Plain least squares of a model that is linear in its columns, residuals pixel by pixel.
 
-    A prediction is then coefficients times the columns one, lit, dark and the channel's surface,
-    the same for all pixels of a photo. `predict` itself gives them, on the columns' unit vectors,
+    A prediction is then coefficients times the columns one, fields and the channel's surface, the
+    same for all pixels of a photo. `predict` itself gives them, on the columns' unit vectors,
     and a pass sums no more than products of columns and residuals.
     """
     photos = jnp.arange(samples.color.shape[0])
     unit = jax.vmap(lambda photo: _unit_tile(samples, photo))(photos)
-    coefficients, slopes = jax.vmap(lambda tile: tile_slopes(entries, directions, tile, True))(unit)
-    shared = 2 if samples.dark is None else 3
+    coefficients, slopes = jax.vmap(lambda tile: tile_slopes(entries, directions, tile, model))(
+        unit
+    )
+    shared = 1 + len(samples.fields)
     surfaces = 0 if samples.surface is None else 3
 
     def add(index: Any, total: jax.Array) -> jax.Array:
@@ -74,7 +79,7 @@ def _linear_gram(
         return total.at[tile.photo].add(weighted_squares(samples, tile, rows))
 
     size = shared + surfaces
-    zero = jnp.zeros((len(photos), size + 3, size + 3), samples.lit.dtype)
+    zero = jnp.zeros((len(photos), size + 3, size + 3), samples.like.dtype)
     total = jax.lax.fori_loop(0, samples.used, add, zero)
     square_sum = jnp.trace(total[:, size:, size:], axis1=1, axis2=2).sum()
     channel = np.arange(3)[:, None]
@@ -88,16 +93,14 @@ def _linear_gram(
 
 
 def tile_columns(samples: Samples, tile: Tile) -> Float[jax.Array, "c n"]:
-    """The columns one, lit, dark and surface of a tile, without what no pixel has.
+    """The columns one, fields and surface of a tile, without what no pixel has.
 
     Padding is 0 in all of them, and in the light.
     """
     one = tile.one
     if one is None:  # weights of pixels are 0 and 1, unless they are pseudo-pixels
-        one = tile.weight if samples.weight is None else jnp.ones_like(tile.lit)
-    rows = [one[None], tile.lit[None]]
-    if tile.dark is not None:
-        rows.append(tile.dark[None])
+        one = tile.weight if samples.weight is None else jnp.ones_like(tile.weight)
+    rows = [one[None], *(field[None] for field in tile.fields.values())]
     if tile.surface is not None:
         rows.append(tile.surface)
     return jnp.concatenate(rows)
@@ -113,19 +116,18 @@ def weighted_squares(
 
 def _unit_tile(samples: Samples, photo: Int[jax.Array, ""]) -> Tile:
     """One pseudo-pixel for each column: 1 in it, 0 in the others."""
-    size = 2 + (samples.dark is not None) + (samples.surface is not None)
-    unit = jnp.eye(size, dtype=samples.lit.dtype)
+    size = 1 + len(samples.fields) + (samples.surface is not None)
+    unit = jnp.eye(size, dtype=samples.like.dtype)
     surface = None
     if samples.surface is not None:
         surface = jnp.broadcast_to(unit[-1][None], (3, size))
     return Tile(
-        lit=unit[1],
-        dark=None if samples.dark is None else unit[2],
-        light=jnp.zeros((3, size), samples.lit.dtype),
+        fields={name: unit[1 + k] for k, name in enumerate(samples.fields)},
+        light=jnp.zeros((3, size), samples.like.dtype),
         surface=surface,
         clipped=None,
         one=unit[0],
-        weight=jnp.ones(size, samples.lit.dtype),
+        weight=jnp.ones(size, samples.like.dtype),
         photo=photo,
         color=jnp.asarray(samples.color)[photo],
         mix=None if samples.mix is None else jnp.asarray(samples.mix)[photo],
@@ -148,7 +150,7 @@ def _general_gram(
 
     def add(index: Any, total: jax.Array) -> jax.Array:
         tile = tile_at(samples, index)
-        predicted, slopes = tile_slopes(entries, directions, tile, model.linear)
+        predicted, slopes = tile_slopes(entries, directions, tile, model)
         residual = predicted - tile.light
         if tile.clipped is None and model.loss.name == "linear":
             rows = jnp.concatenate([slopes, residual[None]])
@@ -161,7 +163,7 @@ def _general_gram(
         gradient = jnp.einsum("icn,cn->i", slopes, score * tile.weight[None])
         return total + _bordered(curved, gradient, (cost * tile.weight[None]).sum())
 
-    zero = jnp.zeros((size, size), samples.lit.dtype)
+    zero = jnp.zeros((size, size), samples.like.dtype)
     return jax.lax.fori_loop(0, samples.used, add, zero)
 
 

@@ -5,11 +5,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from model_jax import Look, Response, air_light, record
+from model_jax import Look, Response, record
+from model_jax._composite import Air, air_light, compose
 from model_jax._shapes import AnyArray
 
+from ._layout import Layout
 from ._loss import Loss
-from ._parameters import BACKGROUND, BRIGHTNESS, LOOK_ENTRIES, RESPONSE_ENTRIES, SHADOW, TINT
 from ._samples import Tile
 
 
@@ -25,37 +26,56 @@ class Model(eqx.Module):
 
     loss: Loss
     prior: PriorTerm | None
-    linear: bool = eqx.field(static=True)
+    layout: Layout = eqx.field(static=True)
+    """The kind of look, and where its numbers stand."""
+    straight: bool = eqx.field(static=True)
     """Every gamma is 1 and stays so: no power is computed."""
 
+    @property
+    def linear(self) -> bool:
+        """What is recorded is a sum of the fields and the surface, each times something."""
+        return self.straight and self.layout.is_linear
 
-def predict(entries: Float[AnyArray, " e"], tile: Tile, linear: bool) -> Float[jax.Array, "3 n"]:
+
+def predict(entries: Float[AnyArray, " e"], tile: Tile, model: Model) -> Float[jax.Array, "3 n"]:
     """Recorded light of a tile's pixels: `model_jax.composite` without alpha, then `record`."""
     entries = jnp.asarray(entries)
-    look = Look(entries[BRIGHTNESS], entries[SHADOW], entries[TINT], entries[BACKGROUND])
-    dark = None if tile.dark is None else tile.dark[:, None]
-    air = jnp.moveaxis(air_light(tile.lit[:, None], dark, tile.color, look), -1, 0)
-    one = jnp.ones_like(tile.lit) if tile.one is None else tile.one
-    light = air + entries[BACKGROUND][:, None] * one[None, :]
+    look = model.layout.look(entries)
+    one = jnp.ones_like(tile.weight) if tile.one is None else tile.one
+    air = _air(look, tile, model)
+    background = jnp.broadcast_to(look.background, (3,))[:, None] * one[None, :]
+    dims = model.layout.transmits  # then the surface is as it is, else what its channels show of it
+    light = compose(air, tile.surface if dims else None, background, look.BLEND)
     if tile.mix is not None:
         light = tile.mix @ light
-    if tile.surface is not None:
+    if tile.surface is not None and not dims:
         light = light + tile.surface
-    rows = entries[LOOK_ENTRIES:].reshape(-1, RESPONSE_ENTRIES)
-    exposure, gamma, black_level = rows[tile.photo]
-    recorded = record(light, Response(exposure, gamma), linear=linear)
+    exposure, gamma, black_level = model.layout.responses(entries)[tile.photo]
+    recorded = record(light, Response(exposure, gamma), linear=model.straight)
     level = black_level * one[None, :]
     if tile.mix is not None:
         level = jnp.any(tile.mix != 0, axis=1)[:, None] * level
     return recorded + level
 
 
+def _air(look: Look, tile: Tile, model: Model) -> Air:
+    """What the look makes of a tile, channels first; nothing of a pseudo-pixel that is no mean."""
+    air = air_light(look, tile.fields, tile.color)
+    light = jnp.moveaxis(air.light, -1, 0)
+    alpha, passed = (
+        None if p is None else jnp.moveaxis(p, -1, 0) for p in (air.alpha, air.transmittance)
+    )
+    if tile.one is not None and not model.layout.is_linear:
+        light = light * tile.one[None]
+    return Air(light, alpha, passed)
+
+
 def tile_slopes(
     entries: Float[AnyArray, " e"],
     directions: Float[AnyArray, "e p"],
     tile: Tile,
-    linear: bool,
+    model: Model,
 ) -> tuple[Float[jax.Array, "3 n"], Float[jax.Array, "p 3 n"]]:
     """Prediction and its slopes along directions."""
-    predicted, push = jax.linearize(lambda e: predict(e, tile, linear), jnp.asarray(entries))
+    predicted, push = jax.linearize(lambda e: predict(e, tile, model), jnp.asarray(entries))
     return predicted, jax.vmap(push, in_axes=1)(jnp.asarray(directions))

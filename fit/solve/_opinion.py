@@ -40,7 +40,9 @@ def second_opinion(
     margin = max(100 * margin, AGREE * square_sum)
     if problem.plain and problem.model.linear and problem.model.prior is None:
         reduced = problem.reduced if problem.reduced.one is not None else _moments_of_plain(problem)
-        least = least_square_sum(jax.device_get(reduced), vector, free, problem.parameters)
+        least = least_square_sum(
+            jax.device_get(reduced), vector, free, problem.parameters, problem.model.layout
+        )
         if least is not None and not is_outside(least.vector, free):
             # A factor of sums of products knows a square sum to some eps of all light.
             room = margin + 64 * np.finfo(np.float64).eps * problem.count * problem.light_max**2
@@ -49,7 +51,7 @@ def second_opinion(
     other = make_solver("lm" if solver != "lm" else "dogleg")
     away = vector.copy()
     for p in problem.parameters:
-        if p in free and p.family != "tint":
+        if p in free and not p.mean_one:
             away[list(p.entries)] = p.of(start)
     if np.allclose(away, vector, rtol=1e-3):
         away[directions.any(axis=1)] *= 1.3

@@ -1,11 +1,12 @@
 """The parameters of a fit as records, and the vector of entries that the model computes with.
 
 One `FitParameter` record stands for each number that a result reports (`_declare`): of the look
-(brightness, shadow, tint.r …) and of each photo's response (exposure, gamma, black_level, with
-several photos exposure.1, exposure.2 …). Below it all is one vector of *entries*: ten of the look
-(a weight or a level that the look gives as one number stands there three times), then three for
-each photo. A fit moves entries along *directions*, one column for each degree of freedom: a shared
-number moves its entries together, tied parameters move together, and free tints keep their sum.
+(as it declares them, colours as NAME.r, NAME.g, NAME.b) and of each photo's response (exposure,
+gamma, black_level, with several photos exposure.1, exposure.2 …). Below it all is one vector of
+*entries* (`_layout`): the look's (one number in place of a colour stands there three times), then
+three for each photo. A fit moves entries along *directions*, one column for each degree of freedom:
+a shared number moves its entries together, tied parameters move together, and free factors of mean
+one keep their sum.
 """
 
 from collections.abc import Sequence
@@ -15,22 +16,13 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import PARAMETERS, RESPONSE_PARAMETERS, Look, Parameter, Response
+from model_jax import Look, Response
+from model_jax._look import defaults
 
-from ._bijections import from_tints, from_value, inside, mean_free
-
-LOOK_ENTRIES = 10
-RESPONSE_ENTRIES = 3
-"""Numbers of the look and of each photo's response in the vector: exposure, gamma, black level."""
-BRIGHTNESS, SHADOW, TINT, BACKGROUND = 0, slice(1, 4), slice(4, 7), slice(7, 10)
-
-FAMILIES: dict[str, Parameter] = PARAMETERS | RESPONSE_PARAMETERS
-"""Every field of `Look` and `Response`."""
+from ._bijections import from_shares, from_value, inside, mean_free
+from ._layout import Layout
 
 Entries = Float[np.ndarray, " e"]
-
-_ORDER = ("brightness", "tint", "shadow", "background", "exposure", "gamma", "black_level")
-"""Who is told first: when two act alike in the pixels used, the later one is held."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +38,9 @@ class FitParameter:
     """One number of a fit."""
 
     name: str
-    """As in reports: brightness, tint.g, shadow, exposure.2 …"""
+    """As in reports: its family, with an ending for a part of a colour or one of several photos."""
     family: str
-    """Its field in `Look` or `Response`, a key of `FAMILIES`."""
+    """Its field in the look or in `Response`."""
     entries: tuple[int, ...]
     """Where it stands in the vector; all entries are equal."""
     value: float
@@ -61,6 +53,12 @@ class FitParameter:
     """Typical size, where the start does not tell it."""
     meaning: str
     role: Literal["free", "fixed", "tied"]
+    order: int = 0
+    """Who is told first: when two act alike in the pixels used, the later one is held."""
+    mean_one: bool = False
+    """One of three factors whose mean is kept at 1."""
+    needs: str | None = None
+    """The field without which it has no effect."""
     tied_to: str | None = None
     """The parameter it equals."""
     prior: Prior | None = None
@@ -81,21 +79,18 @@ def to_entries(parameters: Sequence[FitParameter]) -> Entries:
 def to_look(vector: Entries, like: Look) -> Look:
     """The look of a vector, with one number or three as in `like`."""
 
-    def part(values: np.ndarray, old: Any) -> Any:
-        return values.copy() if np.shape(old) else values[0]
+    def part(value: Any, old: Any) -> Any:
+        return np.array(value) if np.shape(old) else np.ravel(value)[0]
 
-    return Look(
-        brightness=vector[BRIGHTNESS],
-        shadow=part(vector[SHADOW], like.shadow),
-        tint=vector[TINT].copy(),
-        background=part(vector[BACKGROUND], like.background),
-    )
+    kind = type(like)
+    values = Layout(kind).values(vector)
+    found: Look = defaults(kind, {n: part(v, getattr(like, n)) for n, v in values.items()})
+    return found
 
 
-def to_responses(vector: Entries) -> tuple[Response, ...]:
+def to_responses(vector: Entries, kind: type[Look]) -> tuple[Response, ...]:
     """The response of each photo."""
-    rows = vector[LOOK_ENTRIES:].reshape(-1, RESPONSE_ENTRIES)
-    return tuple(Response(*row) for row in rows)
+    return tuple(Response(*row) for row in Layout(kind).responses(vector))
 
 
 def followers(
@@ -106,15 +101,22 @@ def followers(
     return (parameter, *tied)
 
 
-def settle_tint(
+def shares_in(parameters: Sequence[FitParameter]) -> slice:
+    """Entries of the factors of mean one; empty where the look has none."""
+    entries = [e for p in parameters if p.mean_one for e in p.entries]
+    return slice(min(entries), max(entries) + 1) if entries else slice(0, 0)
+
+
+def settle_shares(
     vector: Entries, free: Sequence[FitParameter], parameters: Sequence[FitParameter]
 ) -> Entries:
-    """The vector with its free tints multiplied so that the mean of all three is 1."""
-    moved = np.flatnonzero(_tint_members(free, parameters)) + TINT.start
+    """The vector with its free factors of mean one multiplied so that the mean of all is 1."""
+    shares = shares_in(parameters)
+    moved = np.flatnonzero(_members(free, parameters)) + shares.start
     if not len(moved):
         return vector
     settled = vector.copy()
-    rest = 3.0 - (vector[TINT].sum() - vector[moved].sum())
+    rest = 3.0 - (vector[shares].sum() - vector[moved].sum())
     total = vector[moved].sum()
     settled[moved] = vector[moved] * (rest / total) if total > 0 else rest / len(moved)
     return settled
@@ -126,19 +128,18 @@ def free_directions(
     """Columns along which a fit moves the vector, told-first ones first.
 
     Returns:
-        The columns, and for each the free parameters it moves (all free tints, or one parameter).
+        The columns, and for each the free parameters it moves (all free factors of mean one, or
+        one parameter).
     """
     size = 1 + max(entry for p in parameters for entry in p.entries)
     columns: list[np.ndarray] = [np.zeros((size, 0))]
     moved: list[tuple[FitParameter, ...]] = []
-    for family in _ORDER:
-        members = [p for p in free if p.family == family]
-        if family == "tint":
-            unit = np.zeros((size, 0))
-            if members:
-                basis = _tint_basis(free, parameters)
-                unit = np.zeros((size, basis.shape[1]))
-                unit[TINT] = basis
+    for order in sorted({p.order for p in free}):
+        members = [p for p in free if p.order == order]
+        if members[0].mean_one:
+            basis = _basis(free, parameters)
+            unit = np.zeros((size, basis.shape[1]))
+            unit[shares_in(parameters)] = basis
             moved += [tuple(members)] * unit.shape[1]
         else:
             unit = np.zeros((size, len(members)))
@@ -157,22 +158,25 @@ class Chart:
     base: Entries
     """The vector where nothing is free; 0 where something is."""
     matrix: Float[np.ndarray, "e q"]
-    """Value of a parameter other than tint → its entries."""
+    """Value of a parameter that is no factor of mean one → its entries."""
     lower: Float[np.ndarray, " q"]
     upper: Float[np.ndarray, " q"]
     scale: Float[np.ndarray, " q"]
-    basis: Float[np.ndarray, "3 m"]
-    """Log-ratio coordinates of the free tints."""
-    tint_total: float
+    basis: Float[np.ndarray, "n m"]
+    """Log-ratio coordinates of the free factors of mean one."""
+    shares: int
+    """Their first entry."""
+    total: float
+    """Their sum."""
     start: Float[np.ndarray, " p"]
-    """Coordinates of the start: the q values, then the m tints."""
+    """Coordinates of the start: the q values, then the m factors."""
 
 
 def chart(
     vector: Entries, free: Sequence[FitParameter], parameters: Sequence[FitParameter]
 ) -> Chart:
     """Coordinates around a vector; what lies on or outside a bound starts a little inside."""
-    plain = [p for p in free if p.family != "tint"]
+    plain = [p for p in free if not p.mean_one]
     matrix = np.zeros((len(vector), len(plain)))
     for column, parameter in enumerate(plain):
         for p in followers(parameter, parameters):
@@ -184,14 +188,15 @@ def chart(
     distance = np.abs(values - anchor)
     typical = np.array([p.scale for p in plain])
     scale = np.where(distance > 0, distance, typical)
-    basis = _tint_basis(free, parameters)
-    members = _tint_members(free, parameters) & bool(basis.shape[1])  # a single tint cannot move
+    basis = _basis(free, parameters)
+    members = _members(free, parameters) & bool(basis.shape[1])  # a single factor cannot move
     base = np.where(matrix.any(axis=1), 0.0, vector)
-    tints = vector[TINT]
-    tint_total = float(tints[members].sum())
-    base[TINT] = np.where(members, 0.0, base[TINT])
+    shares = shares_in(parameters)
+    factors = vector[shares]
+    total = float(factors[members].sum())
+    base[shares] = np.where(members, 0.0, base[shares])
     # A share of nothing has no logarithm.
-    tints = np.where(members, np.maximum(tints, 1e-6 * (tint_total or 3.0)), tints)
+    factors = np.where(members, np.maximum(factors, 1e-6 * (total or 3.0)), factors)
     start = from_value(inside(values, lower, upper, scale), lower, upper, scale)
     return Chart(
         base=base,
@@ -200,8 +205,9 @@ def chart(
         upper=upper,
         scale=scale,
         basis=basis,
-        tint_total=tint_total or float(members.sum()),
-        start=np.concatenate([start, from_tints(tints, basis)]),
+        shares=shares.start,
+        total=total or float(members.sum()),
+        start=np.concatenate([start, from_shares(factors, basis)]),
     )
 
 
@@ -210,27 +216,28 @@ def is_outside(vector: Entries, free: Sequence[FitParameter]) -> bool:
     return any(not p.lower <= p.of(vector) <= p.upper for p in free)
 
 
-def _tint_members(free: Sequence[FitParameter], parameters: Sequence[FitParameter]) -> np.ndarray:
-    """Which of the three tints move."""
-    members = np.zeros(3, dtype=bool)
+def _members(free: Sequence[FitParameter], parameters: Sequence[FitParameter]) -> np.ndarray:
+    """Which of the factors of mean one move."""
+    shares = shares_in(parameters)
+    members = np.zeros(shares.stop - shares.start, dtype=bool)
     for parameter in free:
-        if parameter.family == "tint":
+        if parameter.mean_one:
             for p in followers(parameter, parameters):
-                members[p.entries[0] - TINT.start] = True
+                members[p.entries[0] - shares.start] = True
     return members
 
 
-def _tint_basis(
+def _basis(
     free: Sequence[FitParameter], parameters: Sequence[FitParameter]
-) -> Float[np.ndarray, "3 m"]:
-    """Orthonormal directions that keep the tints' sum, and tied ones equal."""
-    members = _tint_members(free, parameters)
-    basis = mean_free(members.tolist())
+) -> Float[np.ndarray, "n m"]:
+    """Orthonormal directions that keep the sum of the factors of mean one, and tied ones equal."""
+    first = shares_in(parameters).start
+    basis = mean_free(_members(free, parameters).tolist())
     for master in free:
-        for p in followers(master, parameters)[1:] if master.family == "tint" else ():
+        for p in followers(master, parameters)[1:] if master.mean_one else ():
             if not basis.shape[1]:
                 break
-            difference = basis[p.entries[0] - TINT.start] - basis[master.entries[0] - TINT.start]
+            difference = basis[p.entries[0] - first] - basis[master.entries[0] - first]
             _, _, rows = np.linalg.svd(difference[None])
             basis = basis @ rows[1:].T
     return basis

@@ -8,7 +8,7 @@ import optimistix as optx
 from jaxtyping import Float
 
 from ._descend import FINISH, Solver, descend
-from ._parameters import Entries, FitParameter, chart, free_directions, is_outside, settle_tint
+from ._parameters import Entries, FitParameter, chart, free_directions, is_outside, settle_shares
 from ._problem import Point, Problem
 from ._scaled import unit_diagonal
 
@@ -28,7 +28,7 @@ def put_inside(
     clipped = vector.copy()
     for p in free:
         clipped[list(p.entries)] = np.clip(p.of(vector), p.lower, p.upper)
-    return settle_tint(clipped, free, parameters)
+    return settle_shares(clipped, free, parameters)
 
 
 def finish(

@@ -13,7 +13,7 @@ from ..photo._pixels import Columns
 from ._descend import exact_gram
 from ._model import Model
 from ._parameters import Entries, FitParameter
-from ._reduce import THIN, bins, moments, thinned
+from ._reduce import MOST_BINNED, THIN, bins, moments, thinned
 from ._samples import Samples, on_device, to_samples
 
 
@@ -38,11 +38,11 @@ class Problem:
         with float64():
             if plain and samples.clipped is None and self.model.linear:
                 return moments(samples)
-            if plain and samples.surface is None:
+            if plain and samples.surface is None and len(samples.fields) <= MOST_BINNED:
                 if samples.clipped is None:
                     columns = tuple(replace(c, clipped=None) for c in columns)
                 return bins(columns)
-            if sum(len(c.lit) for c in columns) > 2 * THIN:
+            if sum(len(c.index) for c in columns) > 2 * THIN:
                 return thinned(columns)
             return samples
 
@@ -50,7 +50,7 @@ class Problem:
     def count(self) -> int:
         """Measured samples, three to a pixel; without clipped ones and copies."""
         clipped = sum(int((c.clipped != 0).sum()) for c in self.columns if c.clipped is not None)
-        return sum((3 - len(c.copies)) * len(c.lit) for c in self.columns) - clipped
+        return sum((3 - len(c.copies)) * len(c.index) for c in self.columns) - clipped
 
     @cached_property
     def light_max(self) -> float:

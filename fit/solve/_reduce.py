@@ -3,15 +3,15 @@
 All return `Samples` that any solver descends on as on the real ones; the exact pass
 (`_gram`) then ends the fit, so that neither has to be exact.
 
-`moments`: where the model is linear in its columns `[1 lit dark surface]`, plain least squares asks
+`moments`: where the model is linear in its columns `[1 fields surface]`, plain least squares asks
 of the pixels no more than the sums of products of columns and light. A factor of that matrix, read
-as rows, is at most nine pseudo-pixels with the same square sum for every look.
+as rows, is a few pseudo-pixels with the same square sum for every look.
 
-`bins`: where the model is a function of the pair (lit, dark), pixels that agree in it tell their
+`bins`: where the model is a function of one field or of a pair, pixels that agree in it tell their
 number, their mean and their sum of squares. A grid over the pair takes the middle for all of a bin,
 which is second order in its width.
 
-`thinned`: every k-th pixel, for robust losses and fitted surfaces, which know no such pairs.
+`thinned`: every k-th pixel, for robust losses, surfaces and more fields, which know no such pairs.
 """
 
 from collections.abc import Sequence
@@ -28,30 +28,32 @@ from ._gram import tile_columns, weighted_squares
 from ._samples import Samples, tile_at, to_samples
 
 BINS = 256
-"""Bins along each of lit and dark: parameters within 1e-5 of the exact ones on real pictures."""
+"""Bins along each field: parameters within 1e-5 of the exact ones on real pictures."""
 
 THIN = 2**15
 """Pixels of a thinned picture: parameters within a few standard errors of theirs, √(all / THIN)."""
 
+MOST_BINNED = 2
+"""Fields that can be binned; three would make 17 million bins."""
+
 _ROWS = 16
-"""Pixels of a tile of pseudo-pixels: nine moments, padded."""
+"""Pixels of a tile of pseudo-pixels, or a multiple: of two fields nine moments, padded."""
 
 
 def moments(samples: Samples) -> Samples:
     """Pseudo-pixels of each photo; clipped samples are taken as measured."""
     photos = len(np.asarray(samples.color))
-    names = ["one", "lit", *(["dark"] if samples.dark is not None else [])]
+    names = ["one", *samples.fields]
     surface = samples.surface is not None
     size = len(names) + 3 * surface + 3
     sums = np.asarray(_products(samples, photos, size))
     rows = np.stack([_factor(matrix) for matrix in sums])  # [photo, row, column]
-    padded = np.zeros((photos, _ROWS, size))
+    padded = np.zeros((photos, -(-size // _ROWS) * _ROWS, size))
     padded[:, :size] = rows
     column = {name: padded[..., k] for k, name in enumerate(names)}
     behind = padded[..., len(names) : len(names) + 3].swapaxes(1, 2) if surface else None
     return Samples(
-        lit=column["lit"],
-        dark=column.get("dark"),
+        fields={name: column[name] for name in samples.fields},
         light=padded[..., -3:].swapaxes(1, 2),
         surface=behind,
         clipped=None,
@@ -66,7 +68,7 @@ def moments(samples: Samples) -> Samples:
 
 
 def bins(columns: Sequence[Columns]) -> Samples:
-    """Means over bins of (lit, dark), photo by photo, weighted by their pixels.
+    """Means over bins of the fields, photo by photo, weighted by their pixels.
 
     Clipped samples of one kind share their bound, so pixels in which the same channels are clipped
     have bins of their own. The columns have no surface. The squares about the means are one more
@@ -78,7 +80,7 @@ def bins(columns: Sequence[Columns]) -> Samples:
 
 def thinned(columns: Sequence[Columns]) -> Samples:
     """Every k-th pixel of each photo, counting k times; `THIN` pixels or a little more in all."""
-    step = max(sum(len(c.lit) for c in columns) // THIN, 1)
+    step = max(sum(len(c.index) for c in columns) // THIN, 1)
 
     def part(values: np.ndarray | None) -> np.ndarray | None:
         return None if values is None else values[::step]
@@ -87,24 +89,23 @@ def thinned(columns: Sequence[Columns]) -> Samples:
         replace(
             c,
             index=c.index[::step],
-            lit=c.lit[::step],
-            dark=part(c.dark),
+            fields={name: field[::step] for name, field in c.fields.items()},
             light=c.light[::step],
             surface=part(c.surface),
             clipped=part(c.clipped),
         )
         for c in columns
     ]
-    return to_samples(reduced, weights=[np.full(len(c.lit), float(step)) for c in reduced])
+    return to_samples(reduced, weights=[np.full(len(c.index), float(step)) for c in reduced])
 
 
 def _bin(
     columns: Columns,
 ) -> tuple[Columns, Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
     """Pseudo-pixels, how many pixels each stands for, and the factor on its levels."""
-    number = _bin_numbers(columns.lit)
-    if columns.dark is not None:
-        number = number * BINS + _bin_numbers(columns.dark)
+    number = np.zeros(len(columns.index), np.intp)
+    for field in columns.fields.values():
+        number = number * BINS + _bin_numbers(field)
     if columns.clipped is not None:
         for k in range(3):
             number = number * 3 + (columns.clipped[:, k] + 1)
@@ -125,19 +126,18 @@ def _bin(
     means = replace(
         columns,
         index=np.append(filled, 0),
-        lit=np.append(mean(columns.lit), 0),
-        dark=None if columns.dark is None else np.append(mean(columns.dark), 0),
+        fields={name: np.append(mean(field), 0) for name, field in columns.fields.items()},
         light=np.append(light, within[None], axis=0),
         clipped=clipped,
     )
     return means, np.append(weight, 1), np.append(np.ones_like(weight), 0)
 
 
-def _bin_numbers(widths: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    low, high = float(widths.min()), float(widths.max())
+def _bin_numbers(field: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    low, high = float(field.min()), float(field.max())
     if high <= low:
-        return np.zeros(len(widths), dtype=np.intp)
-    return np.minimum((widths - low) * (BINS / (high - low)), BINS - 1).astype(np.intp)
+        return np.zeros(len(field), dtype=np.intp)
+    return np.minimum((field - low) * (BINS / (high - low)), BINS - 1).astype(np.intp)
 
 
 @program
@@ -147,7 +147,7 @@ def _products(samples: Samples, photos: int, size: int) -> Float[jax.Array, "pho
         rows = jnp.concatenate([tile_columns(samples, tile), tile.light])
         return total.at[tile.photo].add(weighted_squares(samples, tile, rows))
 
-    zero = jnp.zeros((photos, size, size), samples.lit.dtype)
+    zero = jnp.zeros((photos, size, size), samples.like.dtype)
     return jax.lax.fori_loop(0, samples.used, add, zero)
 
 

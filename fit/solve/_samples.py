@@ -29,9 +29,8 @@ photos of other sizes find a compiled program; loops run over the tiles in use o
 class Samples(eqx.Module):
     """The used pixels of all photos; what no pixel has is None. T tiles of n pixels each."""
 
-    lit: Float[AnyArray, "T n"]
-    """Width of lit air in the first photo's `width_unit`s."""
-    dark: Float[AnyArray, "T n"] | None
+    fields: dict[str, Float[AnyArray, "T n"]]
+    """What the look needs, by name; widths in the first photo's `width_unit`s."""
     light: Float[AnyArray, "T 3 n"]
     """What the photo recorded, in its own precision; for a clipped sample the bound it tells."""
     surface: Float[AnyArray, "T 3 n"] | None
@@ -53,14 +52,18 @@ class Samples(eqx.Module):
     mix: Float[AnyArray, "photos 3 3"] | None = None
     """What each channel recorded of red, green and blue; a channel that is a copy of another has a
     row of 0, light 0 and no surface, so that it counts for nothing. None where all are their own.
-    Surfaces are mixed already."""
+    Surfaces are mixed already, unless the look dims them."""
+
+    @property
+    def like(self) -> AnyArray:
+        """Some field: their shape [T, n] and dtype."""
+        return next(iter(self.fields.values()))
 
 
 class Tile(eqx.Module):
     """One tile of `Samples`."""
 
-    lit: Float[jax.Array, " n"]
-    dark: Float[jax.Array, " n"] | None
+    fields: dict[str, Float[jax.Array, " n"]]
     light: Float[jax.Array, "3 n"]
     surface: Float[jax.Array, "3 n"] | None
     clipped: Int[jax.Array, "3 n"] | None
@@ -78,17 +81,17 @@ def tile_at(samples: Samples, index: Int[AnyArray, ""]) -> Tile:
     def part(array: AnyArray | None) -> Any:
         return None if array is None else array[index]
 
-    inside = jnp.arange(samples.lit.shape[1], dtype=jnp.int32) < samples.count[index]
+    dtype = samples.like.dtype
+    inside = jnp.arange(samples.like.shape[1], dtype=jnp.int32) < samples.count[index]
     weight = part(samples.weight)
     photo = jnp.asarray(samples.photo)[index]
     return Tile(
-        lit=part(samples.lit),
-        dark=part(samples.dark),
-        light=jnp.asarray(samples.light)[index].astype(samples.lit.dtype),
+        fields={name: part(field) for name, field in samples.fields.items()},
+        light=jnp.asarray(samples.light)[index].astype(dtype),
         surface=part(samples.surface),
         clipped=part(samples.clipped),
         one=part(samples.one),
-        weight=jnp.where(inside, 1.0 if weight is None else weight, 0.0).astype(samples.lit.dtype),
+        weight=jnp.where(inside, 1.0 if weight is None else weight, 0.0).astype(dtype),
         photo=photo,
         color=jnp.asarray(samples.color)[photo],
         mix=None if samples.mix is None else jnp.asarray(samples.mix)[photo],
@@ -130,11 +133,10 @@ def to_samples(
     count = np.zeros(room, np.int32)
     photo = np.zeros(room, np.int32)
     for number, (c, (start, end)) in enumerate(zip(columns, pairwise(starts), strict=True)):
-        count[start:end] = np.minimum(tile, len(c.lit) - tile * np.arange(end - start))
+        count[start:end] = np.minimum(tile, len(c.index) - tile * np.arange(end - start))
         photo[start:end] = number
     return Samples(
-        lit=fill([c.lit for c in columns]),
-        dark=fill([c.dark for c in columns]),
+        fields={n: fill([c.fields.get(n) for c in columns]) for n in _names(columns)},
         light=fill([c.light for c in columns]),
         surface=fill([c.surface for c in columns]),
         clipped=fill([c.clipped for c in columns]),
@@ -146,6 +148,11 @@ def to_samples(
         color=np.stack([c.color for c in columns]),
         mix=_stacked_mix(columns),
     )
+
+
+def _names(columns: Sequence[Columns]) -> list[str]:
+    """Fields that some photo has."""
+    return list(dict.fromkeys(name for c in columns for name in c.fields))
 
 
 def _stacked_mix(columns: Sequence[Columns]) -> Float[np.ndarray, "photos 3 3"] | None:
@@ -160,7 +167,7 @@ def _stacked_mix(columns: Sequence[Columns]) -> Float[np.ndarray, "photos 3 3"] 
 
 def relit(samples: Samples, columns: Sequence[Columns]) -> Samples:
     """Samples on the device, of the same pixels with other light, clipped elsewhere if at all."""
-    room, tile = samples.lit.shape
+    room, tile = samples.like.shape
     starts = _first_tiles(columns, tile)
     light = _fill([c.light for c in columns], starts, room, tile)
     clipped = _fill([c.clipped for c in columns], starts, room, tile)
@@ -173,7 +180,7 @@ def relit(samples: Samples, columns: Sequence[Columns]) -> Samples:
 
 def _first_tiles(columns: Sequence[Columns], tile: int) -> Int[np.ndarray, " _"]:
     """Where each photo's tiles begin, and where the last one's end."""
-    return np.cumsum([0, *(-(-len(c.lit) // tile) for c in columns)])
+    return np.cumsum([0, *(-(-len(c.index) // tile) for c in columns)])
 
 
 def _fill(
@@ -196,15 +203,15 @@ def _fill(
     return whole
 
 
-def share_widths(columns: Sequence[Columns], samples: Samples) -> tuple[Columns, ...]:
-    """The same columns, whose widths are views of the samples' own: large photos have many."""
+def share_fields(columns: Sequence[Columns], samples: Samples) -> tuple[Columns, ...]:
+    """The same columns, whose fields are views of the samples' own: large photos have many."""
     shared = []
-    start, tile = 0, samples.lit.shape[1]
+    start, tile = 0, samples.like.shape[1]
     for c in columns:
-        part = slice(start, start + len(c.lit))
-        dark = None if c.dark is None else np.asarray(samples.dark).reshape(-1)[part]
-        shared.append(replace(c, lit=np.asarray(samples.lit).reshape(-1)[part], dark=dark))
-        start += -(-len(c.lit) // tile) * tile
+        part = slice(start, start + len(c.index))
+        fields = {n: np.asarray(samples.fields[n]).reshape(-1)[part] for n in c.fields}
+        shared.append(replace(c, fields=fields))
+        start += -(-len(c.index) // tile) * tile
     return tuple(shared)
 
 

@@ -20,11 +20,11 @@ from .._compile import float64
 from ._descend import Descent, Solver, descend, make_solver, square_sums
 from ._flat import Flat, find_flat
 from ._opinion import second_opinion
-from ._parameters import Entries, FitParameter, chart, free_directions, is_outside, settle_tint
+from ._parameters import Entries, FitParameter, chart, free_directions, is_outside, settle_shares
 from ._polish import CHECK, finish, is_settled, put_inside, sample_variance
 from ._problem import Point, Problem
 from ._samples import Samples
-from ._separable import start_vectors
+from ._starts import start_vectors
 
 _NEAR = 1e-3
 """Distance from a bound, in typical sizes, from which it is tried there."""
@@ -77,7 +77,7 @@ def search(  # long: one loop, and each of its branches changes what the next ro
     """
     method = make_solver(solver)
     parameters = problem.parameters
-    free, held = list(asked), settle_tint(start, asked, parameters)
+    free, held = list(asked), settle_shares(start, asked, parameters)
     flat: list[Flat] = []
     at_bound: list[FitParameter] = []
     inside: set[str] = set()  # tried at its bound, and better off it
@@ -98,7 +98,7 @@ def search(  # long: one loop, and each of its branches changes what the next ro
             flat.append(found)
             gone = {p.name for p in found.held}
             free = [p for p in free if p.name not in gone]
-            held = settle_tint(_restored(vector, start, found.held, parameters), free, parameters)
+            held = settle_shares(_restored(vector, start, found.held, parameters), free, parameters)
             candidates = None
             continue
         margin = 1e-2 * CHECK * sample_variance(problem, gram) + problem.rounding
@@ -106,7 +106,7 @@ def search(  # long: one loop, and each of its branches changes what the next ro
         if near:
             beyond = is_outside(vector, near)
             rest = [p for p in free if p not in near]
-            tried = settle_tint(_at_bounds(vector, near, parameters), rest, parameters)
+            tried = settle_shares(_at_bounds(vector, near, parameters), rest, parameters)
             tried = _best_from(problem, tried, rest, method, max_steps)
             if beyond or problem.square_sum(tried) <= float(gram[-1, -1]) + margin:
                 at_bound, free = at_bound + near, rest
@@ -159,7 +159,9 @@ def _descend(
     with float64():
         samples = problem.reduced
         if candidates is None:
-            candidates = start_vectors(samples, held, free, problem.parameters)
+            candidates = start_vectors(
+                samples, held, free, problem.parameters, problem.model.layout
+            )
         start = _lowest(candidates, samples, free, problem)
     return descend(
         chart(start, free, problem.parameters), samples, problem.model, solver, max_steps
@@ -209,8 +211,8 @@ def _loose(
     for p in at_bound:
         directions = np.zeros((len(vector), 1))
         directions[list(p.entries)] = 1.0
-        if p.family == "tint":  # the other tints make room
-            others = [q.entries[0] for q in free if q.family == "tint"]
+        if p.mean_one:  # the others make room
+            others = [q.entries[0] for q in free if q.mean_one]
             directions[others, 0] -= vector[others] / (vector[others].sum() or 1.0)
         curved, slope = problem.gram(vector, directions)[0]
         inward = slope if p.of(vector) <= p.lower else -slope

@@ -1,10 +1,37 @@
 #version 330
-// Pass 5: reads the depths of its pixel, hands on its own and the one behind, and combines them.
-// EXACT: its own is where the pixel's ray enters the shell; else the mesh's.
+// Pass 5: reads the depths of its pixel, hands on its own and the one behind, and asks the look for
+// the light of what lies between them. EXACT: its own is where the pixel's ray enters the shell; else
+// the mesh's. FIELD_...: what the look asks for; TRANSMITS: it dims what lies behind.
 
 #include "rays.glsl"
-#include "combine.glsl"
+#include "fields.glsl"
 #include "depth_code.glsl"
+
+// What the pixel's ray meets, as model_jax.FIELDS says.
+struct Fields {
+    vec3 color;  // linear rgb of the air
+#ifdef FIELD_WIDTH
+    float width;
+#endif
+#ifdef FIELD_LIT
+    float lit;
+#endif
+#ifdef FIELD_DARK
+    float dark;
+#endif
+#ifdef FIELD_PLANET
+    float planet;
+#endif
+};
+
+// vec3 air(Fields, inout float alpha, inout vec3 transmittance): light of the air; alpha comes as the
+// colour's, transmittance as 1.
+#include "look"
+
+uniform vec4 color;                   // the air's: linear rgb, and alpha
+#ifdef FIELD_PLANET
+uniform sampler2D ground;             // pass 3: coverage in alpha
+#endif
 
 uniform sampler2D planet_atmosphere;  // PlAtDepth of the paper
 #ifdef SHADOWS
@@ -15,9 +42,12 @@ uniform int band_rows;
 in float mesh_depth;
 #endif
 
-layout(location = 0) out vec4 air;
+layout(location = 0) out vec4 combined;
 layout(location = 1) out float front;
 layout(location = 2) out float back;
+#ifdef TRANSMITS
+layout(location = 3) out vec4 passed;
+#endif
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
@@ -44,8 +74,29 @@ void main() {
 #endif
 #endif
 #ifdef STRETCH
-    air = combine(depths, length(vec3(ray_direction(), 1.0)));
+    float stretch = length(vec3(ray_direction(), 1.0));
 #else
-    air = combine(depths, 1.0);
+    float stretch = 1.0;
+#endif
+    Fields fields;
+    fields.color = color.rgb;
+#ifdef FIELD_WIDTH
+    fields.width = (eye_depth(back) - eye_depth(front)) * stretch / width_unit;
+#endif
+#ifdef FIELD_LIT
+    fields.lit = layer_widths(depths, stretch).x;
+#endif
+#ifdef FIELD_DARK
+    fields.dark = layer_widths(depths, stretch).y;
+#endif
+#ifdef FIELD_PLANET
+    fields.planet = texelFetch(ground, pixel, 0).a;
+#endif
+    float alpha = color.a;
+    vec3 transmittance = vec3(1.0);
+    vec3 light = air(fields, alpha, transmittance);
+    combined = vec4(light, alpha);
+#ifdef TRANSMITS
+    passed = vec4(transmittance, 1.0);
 #endif
 }

@@ -1,7 +1,7 @@
 #version 330
 // Linearises the window depths of a texture, to measure how this driver divides.
 
-#include "combine.glsl"
+#include "fields.glsl"
 
 uniform sampler2D windows;
 layout(location = 0) out float depth;

@@ -10,6 +10,7 @@ from model_jax import (
     Atmosphere,
     Camera,
     Layers,
+    LayersLook,
     Look,
     Planet,
     Scene,
@@ -19,8 +20,8 @@ from model_jax import (
     layer_widths,
 )
 
-TRUTH = Look(brightness=3.0, shadow=0.2, tint=(0.8, 0.9, 1.3), background=0.01)
-START = Look(brightness=1.0, shadow=0.5)
+TRUTH = LayersLook(brightness=3.0, shadow=0.2, tint=(0.8, 0.9, 1.3), background=0.01)
+START = LayersLook(brightness=1.0, shadow=0.5)
 
 
 def scene(unit: float = 1.0, sun: bool = True) -> Scene:
@@ -52,7 +53,7 @@ def picture(layers: Layers, look: Look) -> np.ndarray:
     return np.asarray(composite(layers, look))[..., :3]
 
 
-def check_values(result: FitResult, truth: Look, tolerance: float) -> None:
+def check_values(result: FitResult, truth: LayersLook, tolerance: float) -> None:
     assert result.verdict == "converged", result.message
     for name in ("brightness", "shadow", "tint", "background"):
         np.testing.assert_allclose(

@@ -17,7 +17,7 @@ from scipy.stats import binom
 
 from fit import fit
 from fit.solve._declare import declare
-from model_jax import Layers, Look, record
+from model_jax import Layers, LayersLook, record
 from tests.fit.noises import NOISES, Noise
 
 from .looks import START, picture
@@ -34,9 +34,9 @@ FALSE_ALARM = 1e-3 / 51
 all is well."""
 
 
-def draw_look(noise: Noise, rng: np.random.Generator) -> Look:
+def draw_look(noise: Noise, rng: np.random.Generator) -> LayersLook:
     tint = rng.uniform(0.7, 1.3, 3)
-    return Look(
+    return LayersLook(
         brightness=rng.uniform(*noise.brightness),
         shadow=rng.uniform(0.1, 0.5),
         tint=tuple(tint / tint.mean()),

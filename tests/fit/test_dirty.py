@@ -12,14 +12,14 @@ from scipy.optimize import least_squares
 
 from fit import FitResult, fit, load_photo
 from fit.solve._loss import TUNING
-from model_jax import Layers, Look, Srgb, layer_widths
+from model_jax import Layers, LayersLook, Srgb, layer_widths
 from render_gl._exr import write_channels
 from tests.fit.looks import evidence_of
 from tests.fit.photo.files import png
 
 from .looks import START, exact_layers, picture, scene
 
-TRUTH = Look(3.0, 0.2, (0.8, 0.9, 1.3), 0.1)
+TRUTH = LayersLook(3.0, 0.2, (0.8, 0.9, 1.3), background=0.1)
 """A background worth a relative error: one-sided outliers lift a level before all else."""
 
 VALUES = {
@@ -50,7 +50,7 @@ def air() -> tuple[Layers, np.ndarray]:
     return layers, np.asarray(layers.has_air) & (np.asarray(layers.planet) == 0)
 
 
-def shown(look: Look, noise: float, seed: int) -> np.ndarray:
+def shown(look: LayersLook, noise: float, seed: int) -> np.ndarray:
     with jax.enable_x64(True):
         clean = picture(air()[0], look)
     return clean + np.random.default_rng(seed).normal(scale=noise, size=clean.shape)
@@ -212,8 +212,8 @@ def test_scipy_finds_the_same(loss: str) -> None:
     np.testing.assert_allclose(ours, theirs, rtol=1e-6)
 
 
-def overexposed(brightness: float) -> Look:
-    return Look(brightness, TRUTH.shadow, TRUTH.tint, 0.02)
+def overexposed(brightness: float) -> LayersLook:
+    return LayersLook(brightness, TRUTH.shadow, TRUTH.tint, background=0.02)
 
 
 def off(result: FitResult, brightness: float) -> dict[str, float]:
@@ -283,7 +283,7 @@ def test_dropping_white_samples_is_biased(tmp_path: Path) -> None:
 
 def test_black_samples_tell_a_bound(tmp_path: Path) -> None:
     """A level below black: what falls below 0 is cut off, and taken as measured lifts the level."""
-    look = Look(3.0, 0.2, (0.8, 0.9, 1.3), -0.1)
+    look = LayersLook(3.0, 0.2, (0.8, 0.9, 1.3), background=-0.1)
     photo = load_photo(to_png(shown(look, 0.02, 4), tmp_path / "photo.png"))
     layers, ring = air()
     assert photo.codes is not None

@@ -13,7 +13,7 @@ from fit._choices import SOLVERS
 from fit.solve._polish import CHECK, is_settled
 from model_jax import (
     Layers,
-    Look,
+    LayersLook,
     Srgb,
     analytic_layers,
 )
@@ -39,7 +39,7 @@ def test_recovers_from_float32_layers(layers: Layers) -> None:
     assert result.explained is not None
     assert result.explained > 1 - 1e-6
     assert result.parameters["brightness"].initial == 1.0
-    assert result.brightness_per_length == pytest.approx(3.0 / 5.5, rel=1e-4)
+    assert result.per_length["brightness"] == pytest.approx(3.0 / 5.5, rel=1e-4)
     configuration: Any = jax.config  # its type does not list its settings
     assert not configuration.jax_enable_x64
 
@@ -53,8 +53,8 @@ def test_recovers_from_float64_layers(layers64: Layers) -> None:
 
 
 def test_recovers_weights_and_levels_per_channel(layers64: Layers) -> None:
-    truth = Look(2.0, (0.1, 0.4, 0.0625), (1.1, 1.2, 0.7), (0.0, 0.02, 0.04))
-    start = Look(1.0, (0.2, 0.2, 0.2), background=(0.0, 0.0, 0.0))
+    truth = LayersLook(2.0, (0.1, 0.4, 0.0625), (1.1, 1.2, 0.7), background=(0.0, 0.02, 0.04))
+    start = LayersLook(1.0, (0.2, 0.2, 0.2), background=(0.0, 0.0, 0.0))
     with jax.enable_x64(True):
         photo = picture(layers64, truth)
     result = fit(photo, layers64, start)
@@ -63,7 +63,7 @@ def test_recovers_weights_and_levels_per_channel(layers64: Layers) -> None:
 
 
 def test_what_is_not_free_stays(layers: Layers) -> None:
-    start = Look(1.0, 0.5, (0.8, 0.9, 1.3), 0.01)
+    start = LayersLook(1.0, 0.5, (0.8, 0.9, 1.3), background=0.01)
     result = fit(picture(layers, TRUTH), layers, start, free=["brightness", "shadow"])
     check_values(result, TRUTH, 1e-4)
     assert result.correlation_names == ("brightness", "shadow")
@@ -72,7 +72,7 @@ def test_what_is_not_free_stays(layers: Layers) -> None:
 
 
 def test_free_tint_is_normalised(layers: Layers) -> None:
-    start = Look(2.0, 0.2, (2.0, 2.0, 4.0))
+    start = LayersLook(2.0, 0.2, (2.0, 2.0, 4.0))
     result = fit(picture(layers, TRUTH), layers, start)
     check_values(result, TRUTH, 1e-4)
     assert np.mean(result.look.tint) == pytest.approx(1.0, abs=1e-12)
@@ -81,7 +81,7 @@ def test_free_tint_is_normalised(layers: Layers) -> None:
 
 def test_recovers_from_an_8_bit_png(layers: Layers, tmp_path: Path) -> None:
     """Within 1 %, and within three standard errors plus the bound on rounding's bias."""
-    truth = Look(brightness=3.0, shadow=0.2, tint=(0.9, 1.05, 1.05))
+    truth = LayersLook(brightness=3.0, shadow=0.2, tint=(0.9, 1.05, 1.05))
     codes = np.rint(255 * np.asarray(Srgb().encode(picture(layers, truth)))).astype(np.uint8)
     assert codes.max() < 255
     Image.fromarray(codes).save(tmp_path / "photo.png")
@@ -120,8 +120,10 @@ def test_scales_do_not_matter(scale: float, unit: float) -> None:
     assert float(result.look.background) == pytest.approx(0.01 * scale, rel=1e-3)
 
 
-def replace_light(look: Look, scale: float) -> Look:
-    return Look(look.brightness * scale, look.shadow, look.tint, look.background * scale)
+def replace_light(look: LayersLook, scale: float) -> LayersLook:
+    return LayersLook(
+        look.brightness * scale, look.shadow, look.tint, background=look.background * scale
+    )
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -147,7 +149,7 @@ def test_finds_the_oracles_optimum(layers64: Layers, noisy: np.ndarray) -> None:
 
 @pytest.mark.parametrize("start", [0.0, 1e-6, 1e6], ids=str)
 def test_poor_starts(start: float, layers: Layers) -> None:
-    result = fit(picture(layers, TRUTH), layers, Look(start, start, (0.0, 0.0, start)))
+    result = fit(picture(layers, TRUTH), layers, LayersLook(start, start, (0.0, 0.0, start)))
     check_values(result, TRUTH, 1e-4)
 
 

@@ -32,7 +32,7 @@ for number in range(count):
     camera = Camera((0, 0, 3), (0, 0, -1), (0, 1, 0), 50, width, height, 0.5, 6)
     scene = Scene(camera, Planet(1.0), Atmosphere(0.2), Sun((1, 0.2, 0.3)))
     layers = analytic_layers(scene)
-    light = np.asarray(composite(layers, Look(2.0, 0.3, background=0.02)))[..., :3]
+    light = np.asarray(composite(layers, LayersLook(2.0, 0.3, background=0.02)))[..., :3]
     photo = light + rng.normal(scale=0.01, size=light.shape).astype(np.float32)
     options = {}
     if count < 100:

@@ -12,7 +12,7 @@ import pytest
 
 from fit import FitResult, TracedFit, Verdict, _traced, fit
 from fit.solve import _polish, _search
-from model_jax import InputError, Layers, Look, Response, analytic_layers
+from model_jax import InputError, Layers, LayersLook, Response, analytic_layers
 
 from .looks import START, TRUTH, picture, scene
 
@@ -64,7 +64,8 @@ def test_a_bound_is_told_as_in_a_loop(
 ) -> None:
     """A shadow that would have to be darker than black: the weight ends at 0, without an error."""
     some, more = (
-        picture(layers, Look(3.0, weight, TRUTH.tint, TRUTH.background)) for weight in (0.2, 0.4)
+        picture(layers, LayersLook(3.0, weight, TRUTH.tint, background=TRUTH.background))
+        for weight in (0.2, 0.4)
     )
     noise = np.random.default_rng(3).normal(scale=NOISE, size=some.shape)
     photo = (some - 1.5 * (more - some) + noise).astype(np.float32)  # at a weight of -0.1
@@ -134,7 +135,7 @@ def test_derivative_by_what_is_fixed(layers64: Layers, photo64: np.ndarray) -> N
     free = ("brightness", "shadow")
 
     def fitted(background: jax.Array, blue: jax.Array, exposure: jax.Array) -> jax.Array:
-        look = Look(1.0, 0.5, jnp.stack([0.8, 0.9, blue]), background)
+        look = LayersLook(1.0, 0.5, jnp.stack([0.8, 0.9, blue]), background=background)
         found = fit(photo64, layers64, look, free=free, response=Response(exposure)).look
         return jnp.stack([found.shadow, found.brightness])
 
@@ -144,7 +145,7 @@ def test_derivative_by_what_is_fixed(layers64: Layers, photo64: np.ndarray) -> N
 
     def refit(**held: float) -> FitResult:
         values = {"background": 0.01, "blue": 1.3, "exposure": 1.1} | held
-        look = Look(1.0, 0.5, (0.8, 0.9, values["blue"]), values["background"])
+        look = LayersLook(1.0, 0.5, (0.8, 0.9, values["blue"]), background=values["background"])
         result = fit(photo64, layers64, look, free=free, response=Response(values["exposure"]))
         assert isinstance(result, FitResult)
         return result
@@ -166,13 +167,13 @@ def test_too_few_steps_do_not_converge(
     for module, name, steps in (
         (_traced, "_STEPS", 1),
         (_traced, "_NEWTON_STEPS", 1),
-        (_traced, "SHADOWS", ()),
+        (_traced, "WEIGHTS", ()),
         (_polish, "_FINISHES", 0),
         (_polish, "_FINISH_STEPS", 0),
         (_search, "_OPINIONS", 0),
     ):
         monkeypatch.setattr(module, name, steps)
-    far = Look(1.0, 30.0)
+    far = LayersLook(1.0, 30.0)
     traced = jax.jit(jax.vmap(lambda photo: fit(photo, layers, far)))(stack[:2])
     assert traced.verdict.tolist() == [int(Verdict.NOT_CONVERGED)] * 2
     assert np.isnan(np.asarray(traced.covariance)).all()

@@ -17,7 +17,7 @@ from fit.solve import _polish
 from model_jax import (
     InputError,
     Layers,
-    Look,
+    LayersLook,
     analytic_layers,
     layer_widths,
 )
@@ -31,7 +31,7 @@ def test_without_sun_the_shadow_weight_is_left_out() -> None:
     assert result.verdict == "converged"
     assert [(item.what, item.why) for item in result.left_out] == [
         (
-            "shadow weight",
+            "shadow",
             "the layers hold no shadow: no sun is given, or no air in view is in shadow",
         )
     ]
@@ -63,7 +63,7 @@ def test_without_lit_pixels_shadow_is_held(layers: Layers) -> None:
     lit, _ = layer_widths(layers)
     photo = picture(layers, TRUTH).copy()
     photo[np.asarray(lit) > 0] = np.nan
-    result = fit(photo, layers, Look(1.0, 0.1))
+    result = fit(photo, layers, LayersLook(1.0, 0.1))
     assert "no pixel used is lit" in result.left_out[0].why
     assert result.look.brightness * 0.1 == pytest.approx(3.0 * 0.2, rel=1e-3)
 
@@ -97,8 +97,8 @@ def test_colourless_channel(layers: Layers) -> None:
         color=(0.0, 0.5, 1.0, 1.0),
         width_unit=layers.width_unit,
     )
-    result = fit(picture(coloured, Look(3.0, 0.2, (1.0, 0.8, 1.2))), coloured, START)
-    check_values(result, Look(3.0, 0.2, (1.0, 0.8, 1.2)), 1e-4)
+    result = fit(picture(coloured, LayersLook(3.0, 0.2, (1.0, 0.8, 1.2))), coloured, START)
+    check_values(result, LayersLook(3.0, 0.2, (1.0, 0.8, 1.2)), 1e-4)
     assert [item.what for item in result.left_out] == ["tint.r"]
 
 
@@ -155,7 +155,7 @@ def test_the_end_at_a_bound_is_the_best_corner(seed: int) -> None:
 def test_intervals_end_at_bounds(layers: Layers) -> None:
     """A channel that hardly shines, under noise: no interval holds what is not allowed, and a value
     within its own error of 0 is told as "at most". Seeds of 0 to 5 show both kinds."""
-    light = picture(layers, Look(3.0, 0.02, (0.01, 1.2, 1.79), 0.01)).astype(float)
+    light = picture(layers, LayersLook(3.0, 0.02, (0.01, 1.2, 1.79), background=0.01)).astype(float)
     told = []
     for seed in range(6):
         noise = np.random.default_rng(seed).normal(scale=0.2, size=light.shape)
@@ -287,7 +287,7 @@ def test_light_beyond_what_float64_squares_diverges(layers: Layers) -> None:
     assert result.verdict == "diverged"
     assert VERDICTS[Verdict.DIVERGED][1] in result.message
     assert {e.stderr for e in result.parameters.values()} == {None}
-    assert to_values(result)["shadow"] == Look().shadow
+    assert to_values(result)["shadow"] == LayersLook().shadow
     json.dumps(result.to_dict(), allow_nan=False)
 
 

@@ -11,7 +11,7 @@ from model_jax import (
     DepthTextures,
     InputError,
     Layers,
-    Look,
+    LayersLook,
     combine,
     composite,
     layer_widths,
@@ -84,7 +84,7 @@ def test_clamping_commutes_with_linearising_bit_for_bit(
 
 def test_combine_is_the_contract(dtype: np.dtype) -> None:
     """`rgb = brightness · color · tint · (lit + shadow · dark)`; five rounded factors and a sum."""
-    look = Look(brightness=2.5, shadow=0.3, tint=(0.5, 1.0, 1.5))
+    look = LayersLook(brightness=2.5, shadow=0.3, tint=(0.5, 1.0, 1.5))
     color = np.array([0.4, 0.6, 0.9, 0.7])
     got = combine(layers_of(dtype, color=color, width_unit=3.0), look)
     assert got.dtype == dtype
@@ -94,7 +94,7 @@ def test_combine_is_the_contract(dtype: np.dtype) -> None:
 
 
 def test_defaults_are_the_papers() -> None:
-    look = Look()
+    look = LayersLook()
     assert (float(look.brightness), float(look.shadow)) == (3.0, 0.2)
     got = combine(layers_of(np.dtype("float32")), look)
     expected = 3.0 * (LIT + 0.2 * DARK)
@@ -102,22 +102,22 @@ def test_defaults_are_the_papers() -> None:
 
 
 def test_alpha_is_the_colours_where_there_is_air(dtype: np.dtype) -> None:
-    got = combine(layers_of(dtype, color=np.array([1.0, 1.0, 1.0, 0.5])), Look())
+    got = combine(layers_of(dtype, color=np.array([1.0, 1.0, 1.0, 0.5])), LayersLook())
     np.testing.assert_array_equal(got[0, :, 3], np.where(LIT + DARK > 0, 0.5, 0.0))
 
 
 def test_shadow_per_channel_is_three_pictures_in_one(dtype: np.dtype) -> None:
     weights = (0.1, 0.2, 0.7)
-    together = combine(layers_of(dtype), Look(shadow=weights))
+    together = combine(layers_of(dtype), LayersLook(shadow=weights))
     for channel, weight in enumerate(weights):
-        alone = combine(layers_of(dtype), Look(shadow=weight))
+        alone = combine(layers_of(dtype), LayersLook(shadow=weight))
         np.testing.assert_array_equal(together[..., channel], alone[..., channel])
 
 
 def test_shadow_one_is_no_shadow(dtype: np.dtype) -> None:
     """A shadow as bright as light: lit + dark is the air, here exactly (small whole numbers)."""
-    with_shadow = combine(layers_of(dtype), Look(shadow=1.0))
-    without = combine(layers_of(dtype, shadow=False), Look())
+    with_shadow = combine(layers_of(dtype), LayersLook(shadow=1.0))
+    without = combine(layers_of(dtype, shadow=False), LayersLook())
     np.testing.assert_array_equal(with_shadow, without)
 
 
@@ -129,7 +129,7 @@ def test_composite_adds_surface_and_background(background: object, dtype: np.dty
     planet[0, ::2] = 1
     color = np.array([1.0, 1.0, 1.0, 0.5])
     layers = layers_of(dtype, surface=surface, planet=planet, color=color)
-    look = Look(background=background)
+    look = LayersLook(background=background)
     got, air = composite(layers, look), combine(layers, look)
     added = np.broadcast_to(np.asarray(background) + 0.5, (*got.shape[:2], 3))
     # One sum of two roundings: the order in which three numbers are added is not the contract's.
@@ -145,7 +145,7 @@ def _ulps(image: np.ndarray) -> float:
 
 def test_composite_of_nothing_but_air_is_the_combine(dtype: np.dtype) -> None:
     layers = layers_of(dtype)
-    np.testing.assert_array_equal(composite(layers, Look()), combine(layers, Look()))
+    np.testing.assert_array_equal(composite(layers, LayersLook()), combine(layers, LayersLook()))
 
 
 def shadows_of(rng: np.random.Generator, count: int, dtype: np.dtype) -> Layers:

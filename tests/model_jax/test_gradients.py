@@ -22,7 +22,7 @@ from model_jax import (
     Camera,
     DepthTextures,
     Layers,
-    Look,
+    LayersLook,
     Planet,
     Scene,
     Sun,
@@ -58,7 +58,7 @@ def depths() -> dict[str, np.ndarray]:
     }
 
 
-def painted(look: Look, **changes: Any) -> Numbers:
+def painted(look: LayersLook, **changes: Any) -> Numbers:
     """The picture of `depths` under a look; a depth or the colour may be replaced."""
     fields: dict[str, Any] = depths() | {"color": COLOR, "width_unit": 7.0} | changes
     return composite(Layers(**fields), look)[..., :3]
@@ -72,19 +72,19 @@ def through_windows(name: str, far: float) -> Function:
         replaced = DepthTextures(
             **(textures | {name: window}), near=1.0, far=far, encoding="window"
         )
-        return combine(replaced.linearize(), Look())[..., :3] * far
+        return combine(replaced.linearize(), LayersLook())[..., :3] * far
 
     return picture
 
 
 LOOKS: dict[str, tuple[Function, object]] = {
-    "brightness": (lambda v: painted(Look(brightness=v)), 2.5),
-    "shadow": (lambda v: painted(Look(shadow=v)), 0.3),
-    "shadow per channel": (lambda v: painted(Look(shadow=v)), (0.1, 0.2, 0.6)),
-    "tint": (lambda v: painted(Look(tint=v)), (0.8, 1.0, 1.2)),
-    "background": (lambda v: painted(Look(background=v)), 0.1),
-    "background per channel": (lambda v: painted(Look(background=v)), (0.1, 0.2, 0.3)),
-    "color": (lambda v: painted(Look(), color=v), COLOR),
+    "brightness": (lambda v: painted(LayersLook(brightness=v)), 2.5),
+    "shadow": (lambda v: painted(LayersLook(shadow=v)), 0.3),
+    "shadow per channel": (lambda v: painted(LayersLook(shadow=v)), (0.1, 0.2, 0.6)),
+    "tint": (lambda v: painted(LayersLook(tint=v)), (0.8, 1.0, 1.2)),
+    "background": (lambda v: painted(LayersLook(background=v)), 0.1),
+    "background per channel": (lambda v: painted(LayersLook(background=v)), (0.1, 0.2, 0.3)),
+    "color": (lambda v: painted(LayersLook(), color=v), COLOR),
 }
 OTHER = np.random.default_rng(8).random((2, *SHAPE))
 SHADOWS = {
@@ -97,7 +97,7 @@ SHADOWS = {
 
 def with_depth(name: str, value: jax.Array) -> Numbers:
     """The picture with another of its depths."""
-    return painted(Look(), **{name: value})
+    return painted(LayersLook(), **{name: value})
 
 
 def overshadowed(name: str, value: jax.Array) -> Numbers:
@@ -105,7 +105,7 @@ def overshadowed(name: str, value: jax.Array) -> Numbers:
     first = depths()
     second = {key: jnp.asarray(first["front"] + more) for key, more in SHADOWS.items()}
     second[name] = value
-    return painted(Look(), **{key: jnp.stack([first[key], second[key]]) for key in SHADOWS})
+    return painted(LayersLook(), **{key: jnp.stack([first[key], second[key]]) for key in SHADOWS})
 
 
 UNIONS: dict[str, tuple[Function, object]] = {
@@ -220,7 +220,7 @@ def test_analytic_layers(name: str, rng: np.random.Generator) -> None:
     compare(widths, BASE, direction, rng, 0.8)
 
 
-def loss_of(scene: Scene, look: Look, dtype: np.dtype) -> jax.Array:
+def loss_of(scene: Scene, look: LayersLook, dtype: np.dtype) -> jax.Array:
     """Any NaN or infinity of any pixel's gradient would show in the gradient of this sum."""
     layers = analytic_layers(scene, dtype)
     widths = [w for w in layer_widths(layers) if w is not None]
@@ -258,7 +258,7 @@ def cases() -> list[object]:
 @pytest.mark.parametrize(("name", "dtype"), cases(), indirect=["dtype"])
 def test_finite_at_every_pixel(name: str, dtype: np.dtype) -> None:
     scene = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), SCENES[name])
-    look = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), Look())
+    look = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), LayersLook())
     found = gradients(scene, look, dtype)
     for path, leaf in jax.tree_util.tree_leaves_with_path(found):
         assert np.all(np.isfinite(leaf)), f"d loss / d {jax.tree_util.keystr(path)} = {leaf}"
@@ -281,10 +281,10 @@ TIES = {
 def test_ties_are_finite(name: str, mode: Callable, dtype: np.dtype) -> None:
     values = [jnp.full((1, 1), z, dtype) for z in TIES[name]]
 
-    def picture(depths: list[jax.Array], look: Look) -> Numbers:
+    def picture(depths: list[jax.Array], look: LayersLook) -> Numbers:
         return combine(Layers(*depths), look)
 
-    look = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), Look())
+    look = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), LayersLook())
     for argument in (0, 1):
         for leaf in jax.tree.leaves(mode(picture, argument)(values, look)):
             assert np.all(np.isfinite(leaf))
@@ -308,7 +308,7 @@ def test_no_air_has_exactly_no_gradient(dtype: np.dtype) -> None:
     """DESIGN §3: where there is no air the combine's gradient in the look is exactly zero."""
     at = jnp.full((2, 3), 5.0, dtype)
     layers = Layers(at, at, at - 1, at + 1)
-    look = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), Look())
+    look = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), LayersLook())
     found = jax.jacrev(lambda look: combine(layers, look))(look)
     for leaf in jax.tree.leaves(found):
         np.testing.assert_array_equal(leaf, 0)

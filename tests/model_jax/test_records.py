@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from model_jax import (
-    PARAMETERS,
     Atmosphere,
     Camera,
     InputError,
     Layers,
-    Look,
+    LayersLook,
     Occluder,
     Planet,
     Scene,
@@ -96,16 +95,16 @@ BAD: dict[str, tuple[Callable[[], object], str, str]] = {
         "camera.position",
         "occluder 2 (0.1 from its centre, radius 0.2)",
     ),
-    "brightness negative": (lambda: Look(brightness=-1.0), "look.brightness", "-1"),
-    "brightness nan": (lambda: Look(brightness=float("nan")), "look.brightness", "nan"),
-    "shadow negative": (lambda: Look(shadow=-0.5), "look.shadow", "-0.5"),
-    "tint negative": (lambda: Look(tint=(1.0, -1.0, 1.0)), "look.tint", "-1"),
-    "background infinite": (lambda: Look(background=float("inf")), "look.background", "inf"),
+    "brightness negative": (lambda: LayersLook(brightness=-1.0), "look.brightness", "-1"),
+    "brightness nan": (lambda: LayersLook(brightness=float("nan")), "look.brightness", "nan"),
+    "shadow negative": (lambda: LayersLook(shadow=-0.5), "look.shadow", "-0.5"),
+    "tint negative": (lambda: LayersLook(tint=(1.0, -1.0, 1.0)), "look.tint", "-1"),
+    "background infinite": (lambda: LayersLook(background=float("inf")), "look.background", "inf"),
     "layers rgb": (lambda: Layers(DEPTH, DEPTH, color=np.ones(3)), "layers.color", "1"),
-    "look of text": (lambda: Look(brightness="bright"), "look.brightness", "bright"),  # type: ignore[arg-type]
-    "look of a digit": (lambda: Look(brightness="3"), "look.brightness", "'3'"),  # type: ignore[arg-type]
-    "look of two": (lambda: Look(shadow=[1, 2]), "look.shadow", "[1.0, 2.0]"),
-    "look beyond floats": (lambda: Look(brightness=10**400), "look.brightness", "400 digits"),
+    "look of text": (lambda: LayersLook(brightness="bright"), "look.brightness", "bright"),  # type: ignore[arg-type]
+    "look of a digit": (lambda: LayersLook(brightness="3"), "look.brightness", "'3'"),  # type: ignore[arg-type]
+    "look of two": (lambda: LayersLook(shadow=[1, 2]), "look.shadow", "[1.0, 2.0]"),
+    "look beyond floats": (lambda: LayersLook(brightness=10**400), "look.brightness", "400 digits"),
     "near beyond floats": (lambda: camera(near=10**400), "camera.near", "400 digits"),
     "near beyond repr": (lambda: camera(near=10**5000), "camera.near", "5,000 digits"),
     "width beyond floats": (lambda: camera(width=10**5000), "camera.width", "5,000 digits"),
@@ -147,10 +146,10 @@ def test_bad_values_are_named_with_value_and_remedy(name: str) -> None:
 
 
 def test_defaults_pass_through_the_converters() -> None:
-    look = Look()
+    look = LayersLook()
     assert isinstance(look.tint, np.ndarray)
     assert look.tint.dtype == np.float64
-    for name, info in PARAMETERS.items():
+    for name, info in LayersLook.PARAMETERS.items():
         np.testing.assert_array_equal(getattr(look, name), info.default)
     assert isinstance(Atmosphere(1.0).color, np.ndarray)
     np.testing.assert_array_equal(Atmosphere(1.0).color, 1.0)
@@ -159,8 +158,9 @@ def test_defaults_pass_through_the_converters() -> None:
 
 
 def test_every_default_lies_within_its_bounds() -> None:
-    for info in PARAMETERS.values():
-        assert info.lower <= info.default <= info.upper
+    for info in LayersLook.PARAMETERS.values():
+        default = np.asarray(info.default)
+        assert ((info.lower <= default) & (default <= info.upper)).all()
 
 
 def test_directions_become_unit_vectors() -> None:

@@ -114,4 +114,4 @@ def test_parameters_are_the_fields() -> None:
     assert list(RESPONSE_PARAMETERS) == list(vars(camera))
     for name, about in RESPONSE_PARAMETERS.items():
         assert getattr(camera, name) == about.default
-        assert about.lower <= about.default <= about.upper
+        assert about.lower <= float(np.asarray(about.default)) <= about.upper

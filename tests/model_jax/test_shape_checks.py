@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
 
-from model_jax import DepthTextures, Layers, Look, combine, limb_height
+from model_jax import DepthTextures, Layers, LayersLook, combine, limb_height
 from model_jax._intersect import squared_miss_distance
 
 TALL, WIDE = np.zeros((4, 3), np.float32), np.zeros((3, 4), np.float32)
 
 
 def test_the_right_shapes_pass() -> None:
-    assert combine(Layers(WIDE, WIDE), Look()).shape == (3, 4, 4)
+    assert combine(Layers(WIDE, WIDE), LayersLook()).shape == (3, 4, 4)
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_a_transposed_texture_fails() -> None:
 
 def test_a_wrong_argument_fails() -> None:
     with pytest.raises(TypeCheckError):
-        combine(WIDE, Look())  # type: ignore[arg-type]
+        combine(WIDE, LayersLook())  # type: ignore[arg-type]
     with pytest.raises(TypeCheckError):
         limb_height("scene.toml")  # type: ignore[arg-type]
 

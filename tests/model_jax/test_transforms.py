@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from model_jax import Layers, Look, Scene, analytic_layers, combine, layer_widths
+from model_jax import Layers, LayersLook, Scene, analytic_layers, combine, layer_widths
 
 from .scenes import OCTANTS
 
@@ -25,7 +25,11 @@ def stack(trees: list, dtype: np.dtype) -> object:
 
 def test_vmap_over_looks(dtype: np.dtype) -> None:
     layers = analytic_layers(SCENE_LIST[2], dtype)
-    looks = [Look(1.0, 0.1), Look(2.0, 0.3, (0.5, 1.0, 1.5)), Look(4.0, 0.9, background=0.2)]
+    looks = [
+        LayersLook(1.0, 0.1),
+        LayersLook(2.0, 0.3, (0.5, 1.0, 1.5)),
+        LayersLook(4.0, 0.9, background=0.2),
+    ]
     together = jax.jit(jax.vmap(combine, in_axes=(None, 0)))(layers, stack(looks, dtype))
     for look, picture in zip(looks, together, strict=True):
         expected = combine(layers, look)
@@ -58,13 +62,13 @@ def test_grad_of_vmap_of_scene_and_look() -> None:
     """A loss summed over three scenes with a look each: every gradient is finite, and the look's
     is the one that each scene gives alone."""
     dtype = np.dtype("float64")
-    looks = [Look(1.0, 0.1), Look(2.0, 0.3), Look(4.0, 0.9)]
+    looks = [LayersLook(1.0, 0.1), LayersLook(2.0, 0.3), LayersLook(4.0, 0.9)]
     scenes, stacked = stack(SCENE_LIST, dtype), stack(looks, dtype)
 
-    def one(scene: Scene, look: Look) -> jax.Array:
+    def one(scene: Scene, look: LayersLook) -> jax.Array:
         return jnp.mean(combine(analytic_layers(scene, dtype), look)[..., :3] ** 2)
 
-    def loss(scenes: Scene, looks: Look) -> jax.Array:
+    def loss(scenes: Scene, looks: LayersLook) -> jax.Array:
         return jnp.sum(jax.vmap(one)(scenes, looks))
 
     gradient = jax.jit(jax.grad(one, 1))
@@ -85,7 +89,7 @@ def test_hessian_of_a_quadratic_loss_is_the_normal_matrix(dtype: np.dtype) -> No
     layers = analytic_layers(SCENE_LIST[2], dtype)
 
     def loss(brightness: jax.Array) -> jax.Array:
-        return jnp.sum(combine(layers, Look(brightness=brightness))[..., :3] ** 2)
+        return jnp.sum(combine(layers, LayersLook(brightness=brightness))[..., :3] ** 2)
 
     hessian = jax.jit(jax.grad(jax.grad(loss)))(jnp.asarray(2.0, dtype))
     expected = 2 * float(loss(jnp.asarray(1.0, dtype)))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import render_gl
-from model_jax import DriverError, InputError, Look
+from model_jax import DriverError, InputError, LayersLook
 from render_gl import _context
 
 from ..fit.looks import scene
@@ -80,7 +80,7 @@ def test_numbers_of_jax_are_drawn_as_they_are_whatever_the_threads_setting() -> 
 
 def test_a_traced_look_is_refused() -> None:
     def image(brightness: jax.Array) -> jax.Array | np.ndarray:
-        return render_gl.render_image(scene(), Look(brightness=brightness), "linear")
+        return render_gl.render_image(scene(), LayersLook(brightness=brightness), "linear")
 
     with pytest.raises(InputError, match=r"traced.*outside of jit"):
         jax.jit(image)(3.0)

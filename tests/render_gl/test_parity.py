@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import render_gl
-from model_jax import InputError, Look, Scene, combine
+from model_jax import InputError, LayersLook, Look, Scene, combine
 from render_gl import _shaders
 from render_gl._draw import draw
 from render_gl._parity import Parity, compare, measure_division
@@ -41,7 +41,7 @@ def checked(case: Scene, look: Look, depth_format: render_gl.DepthFormat) -> Par
 def test_glsl_and_jax_agree(
     case: Scene, depth_format: render_gl.DepthFormat, tmp_path: Path
 ) -> None:
-    parity = checked(case, Look(), depth_format)
+    parity = checked(case, LayersLook(), depth_format)
     if not parity.passed:
         for name in ("glsl", "jax", "difference"):
             render_gl.write_picture(tmp_path / f"{name}.exr", getattr(parity, name))
@@ -55,7 +55,7 @@ def test_glsl_and_jax_agree(
 
 @pytest.mark.parametrize("case", SCENES.values(), ids=SCENES.keys())
 def test_bound_is_tight_enough_on_linear_layers(case: Scene) -> None:
-    assert checked(case, Look(), "linear").summary()["bound_relative"] <= 1e-5
+    assert checked(case, LayersLook(), "linear").summary()["bound_relative"] <= 1e-5
 
 
 def test_paper_scene_agrees_to_1e5_of_its_maximum() -> None:
@@ -73,7 +73,7 @@ def test_paper_scene_agrees_to_1e5_of_its_maximum() -> None:
 
 
 def test_looks_with_channels_agree() -> None:
-    look = Look(brightness=7.0, shadow=[0.0, 0.5, 1.5], tint=[1.5, 0.9, 0.6])
+    look = LayersLook(brightness=7.0, shadow=[0.0, 0.5, 1.5], tint=[1.5, 0.9, 0.6])
     assert checked(SCENES["odd size"], look, "linear").passed
 
 
@@ -88,16 +88,16 @@ def with_frame(
     change: Callable[[np.ndarray], np.ndarray], depth_format: render_gl.DepthFormat = "window24"
 ) -> Parity:
     """The comparison after `change` has been done to the depths that JAX gets."""
-    frame = draw(FAULTY, Look(), depth_format)
+    frame = draw(FAULTY, LayersLook(), depth_format)
     front, back, *ends = change(np.stack([frame.front, frame.back, *frame.shadows[0]]))
     broken = dataclasses.replace(frame, front=front, back=back, shadows=np.stack(ends)[None])
-    return compare(FAULTY, Look(), broken, depth_format, measure_division(FAULTY, "window24"))
+    return compare(FAULTY, LayersLook(), broken, depth_format, measure_division(FAULTY, "window24"))
 
 
 def test_fault_shadow_weight_off_by_a_thousandth_is_found() -> None:
-    frame = draw(FAULTY, Look(), "window24")
+    frame = draw(FAULTY, LayersLook(), "window24")
     parity = compare(
-        FAULTY, Look(shadow=0.201), frame, "window24", measure_division(FAULTY, "window24")
+        FAULTY, LayersLook(shadow=0.201), frame, "window24", measure_division(FAULTY, "window24")
     )
     assert not parity.passed
 
@@ -113,17 +113,17 @@ def test_fault_half_pixel_shift_is_found() -> None:
 
 
 def test_fault_another_near_plane_is_found() -> None:
-    frame = draw(FAULTY, Look(), "window24")
+    frame = draw(FAULTY, LayersLook(), "window24")
     other = eqx.tree_at(lambda s: s.camera.near, FAULTY, FAULTY.camera.near * 1.001)
-    assert not compare(other, Look(), frame, "window24", 0.0).passed
+    assert not compare(other, LayersLook(), frame, "window24", 0.0).passed
 
 
 def test_near_and_far_swapped_are_refused() -> None:
-    frame = draw(FAULTY, Look(), "window24")
+    frame = draw(FAULTY, LayersLook(), "window24")
     near, far = FAULTY.camera.near, FAULTY.camera.far
     swapped = eqx.tree_at(lambda s: (s.camera.near, s.camera.far), FAULTY, (far, near))
     with pytest.raises(InputError, match="are no clip planes; give 0 < near < far"):
-        compare(swapped, Look(), frame, "window24", 0.0)
+        compare(swapped, LayersLook(), frame, "window24", 0.0)
 
 
 @pytest.mark.parametrize(
@@ -144,13 +144,13 @@ def test_fault_missing_clamp_in_the_shader_is_found(
 
     def faulty(name: str) -> str:
         text = original(name)
-        if name == "combine.glsl":
+        if name == "fields.glsl":
             assert clamp in text
             text = text.replace(clamp, left)
         return text
 
     monkeypatch.setattr(_shaders, "_read", faulty)
-    assert not checked(case, Look(), "window24").passed
+    assert not checked(case, LayersLook(), "window24").passed
 
 
 def test_fault_not_a_number_is_found() -> None:
@@ -163,9 +163,9 @@ def test_fault_not_a_number_is_found() -> None:
 
 def test_jax_reads_what_the_shader_read() -> None:
     """The front depth is gl_FragCoord.z in float32, not rounded to the texture's 24 bits."""
-    frame = draw(FAULTY, Look(), "window24")
+    frame = draw(FAULTY, LayersLook(), "window24")
     front = frame.front[frame.front != frame.back].astype(np.float64)
     steps = front * (2**24 - 1)
     assert np.mean(np.abs(steps - np.round(steps)) > 0.01) > 0.1
-    picture = np.asarray(combine(frame_layers(FAULTY, frame, "window24"), Look()))
+    picture = np.asarray(combine(frame_layers(FAULTY, frame, "window24"), LayersLook()))
     assert picture.shape == frame.air.shape

@@ -10,7 +10,7 @@ import pytest
 import render_gl
 from model_jax import (
     InputError,
-    Look,
+    LayersLook,
     Occluder,
     Planet,
     Scene,
@@ -54,8 +54,8 @@ def test_shadow_passes_are_left_out_when_no_air_in_view_is_in_shadow(
 def test_image_is_the_right_way_up() -> None:
     """A sun straight up in the picture lights the upper half of the ring."""
     case = scene(sun=(0.0, 0.0, 1.0))
-    image = render_gl.render_image(case, Look())[..., 2]
-    exact = np.asarray(composite(analytic_layers(case), Look()))[..., 2]
+    image = render_gl.render_image(case, LayersLook())[..., 2]
+    exact = np.asarray(composite(analytic_layers(case), LayersLook()))[..., 2]
     assert image[:120].sum() > 1.5 * image[120:].sum()
     assert exact[:120].sum() > 1.5 * exact[120:].sum()
 
@@ -64,7 +64,7 @@ def test_image_is_the_right_way_up() -> None:
 def test_layers_and_image_come_of_one_drawing(
     source: render_gl.Source, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    case, look = SCENES["odd size"], Look(2.0, 0.5, (0.5, 1, 1.5), 0.1)
+    case, look = SCENES["odd size"], LayersLook(2.0, 0.5, (0.5, 1, 1.5), background=0.1)
     layers, image = (
         render_gl.render(case, source=source),
         render_gl.render_image(case, look, source=source),
@@ -85,7 +85,7 @@ def test_layers_and_image_come_of_one_drawing(
 
 @pytest.mark.parametrize("depth_format", render_gl.DEPTH_FORMATS)
 def test_image_equals_composite_of_its_layers(depth_format: str) -> None:
-    look = Look(background=0.25, tint=[1.2, 1.0, 0.8])
+    look = LayersLook(background=0.25, tint=[1.2, 1.0, 0.8])
     image = render_gl.render_image(SCENES["odd size"], look, depth_format)
     again = np.asarray(composite(render_gl.render(SCENES["odd size"], depth_format), look))
     # 11 roundings of ε = 1.2e-7 on values up to 1 (see _parity), one more for the background.
@@ -107,8 +107,8 @@ def test_camera_inside_the_shadow() -> None:
     """No front face of the cone is in view; the shadow begins at the near plane."""
     case = scene(distance=1.03, thickness=0.05, sun=(-0.2, 0.9, -0.3))
     case = eqx.tree_at(lambda s: s.camera.near, case, 6.371)
-    picture = np.asarray(combine(render_gl.render(case, "linear"), Look(shadow=0.0)))
-    exact = np.asarray(combine(analytic_layers(case), Look(shadow=0.0)))
+    picture = np.asarray(combine(render_gl.render(case, "linear"), LayersLook(shadow=0.0)))
+    exact = np.asarray(combine(analytic_layers(case), LayersLook(shadow=0.0)))
     wrong = np.abs(picture - exact).max(axis=-1) > 1e-2 * exact.max()
     assert np.mean(wrong) < 0.01  # the limb's edge pixels
 
@@ -306,9 +306,9 @@ def test_large_pictures_are_drawn_in_bands(
     case = render_gl.load_scene("examples/paper.toml").scene
     camera = case.camera.resized(320, 256)
     case = Scene(camera, case.planet, case.atmosphere, case.sun, case.occluders)
-    whole = render_gl._draw.draw(case, Look(), depth_format)
+    whole = render_gl._draw.draw(case, LayersLook(), depth_format)
     monkeypatch.setattr(render_gl._raster, "BAND", 320 * 100)
-    banded = render_gl._draw.draw(case, Look(), depth_format)
+    banded = render_gl._draw.draw(case, LayersLook(), depth_format)
     parts = [(f.air, f.front, f.back, *f.shadows.reshape(-1, 256, 320)) for f in (whole, banded)]
     images = zip(*parts, strict=True)
     for expected, found in [*images, (whole.surface, banded.surface)]:

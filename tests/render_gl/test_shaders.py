@@ -6,7 +6,7 @@ from importlib import resources
 import pytest
 
 import model_jax
-from model_jax import _analytic, _intersect, _safe, _view
+from model_jax import FIELDS, _analytic, _intersect, _safe, _view
 from render_gl._shaders import DEFINES, shader_source
 
 FILES = sorted(
@@ -91,6 +91,9 @@ def test_defines_follow_the_version_line() -> None:
     text = shader_source("combine.frag", dict.fromkeys(DEFINES, 2))
     lines = text.splitlines()
     assert lines[0] == "#version 330"
-    known = sorted({"CONE", "EXACT", "LINEAR", "REVERSED", "SHADOWS", "SORTED", "STRETCH"})
+    known = sorted(
+        {"CONE", "EXACT", "LINEAR", "REVERSED", "SHADOWS", "SORTED", "STRETCH", "TRANSMITS"}
+    )
+    known = sorted({*known, *(f"FIELD_{name.upper()}" for name in FIELDS)})
     assert lines[1 : len(known) + 1] == [f"#define {name} 2" for name in known]
     assert "#include" not in text

@@ -16,7 +16,7 @@ from PIL import Image
 import render_gl
 from fit.cli import _job
 from fit.solve import _polish
-from model_jax import DriverError
+from model_jax import DriverError, LayersLook
 from tests.command import airlight
 from tests.scene_text import SCENE
 
@@ -67,7 +67,7 @@ def test_fit_recovers_the_rendered_look_and_writes_everything(
 ) -> None:
     assert airlight("fit", "scene.toml", "photo.png", "-o", "out", "--source", source) == 0
     document = json.loads(Path("out/fit.json").read_text())
-    assert document["schema"] == 2
+    assert document["schema"] == 3
     assert document["verdict"] == "converged"
     for name, truth in (("brightness", 3.0), ("shadow", 0.2)):
         found = document["parameters"][name]
@@ -227,7 +227,8 @@ def test_check_passes_where_it_failed(name: str, source: str, here: Path, data_d
 def test_check_fails_with_exit_code_1(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from render_gl import _parity
 
-    monkeypatch.setattr(_parity, "ROUNDINGS", 0)
+    monkeypatch.setattr(_parity, "WIDTH_ROUNDINGS", 0)
+    monkeypatch.setattr(LayersLook, "ROUNDINGS", (1e-9, 0.0))
     assert airlight("check", "scene.toml", "--depth", "linear") == 1
 
 
@@ -245,7 +246,7 @@ def test_sun_behind_the_camera_leaves_the_shadow_out_and_does_not_spoil_the_verd
     assert airlight("render", "front.toml", "-o", "front.png") == 0
     assert airlight("fit", "front.toml", "front.png", "-o", "out") == 0
     document = json.loads(Path("out/fit.json").read_text())
-    assert [item["what"] for item in document["left_out"]] == ["shadow weight"]
+    assert [item["what"] for item in document["left_out"]] == ["shadow"]
     assert document["parameters"]["shadow"]["stderr"] is None
     channels, _ = render_gl.read_channels("out/layers.exr")
     assert "shadow_front.Z" not in channels

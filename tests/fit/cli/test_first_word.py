@@ -58,11 +58,15 @@ def run(folder: Path, *words: str, **variables: str) -> subprocess.CompletedProc
     )
 
 
+SHAPES = {"brightness": "number", "shadow": "either", "tint": "rgb", "background": "either"}
+
+
 def document() -> dict[str, object]:
     values = {"brightness": 3.0, "shadow": 0.2, "background": 0.0}
     values |= {f"tint.{channel}": 1.0 for channel in "rgb"}
     return {
-        "schema": 2,
+        "schema": 3,
+        "look": {"kind": "layers", "light": "", "shapes": SHAPES},
         "verdict": "converged",
         "parameters": {name: {"value": value, "role": "fixed"} for name, value in values.items()},
     }
@@ -92,9 +96,9 @@ def document() -> dict[str, object]:
         (["fit", SCENE, PHOTO, "-o", "out", "--near", "1"], 2, "go with --layers"),
         (["fit", SCENE, PHOTO, "-o", "out", "--tone-curve", "1,x"], 2, "EXPOSURE,GAMMA"),
         (["fit", SCENE, PHOTO, "-o", "out", "--tone-curve", "log"], 2, "linear, srgb or EXPOSURE"),
-        (["fit", SCENE, PHOTO, "-o", "out", "--free", "haze"], 2, "'haze' is no parameter"),
-        (["fit", SCENE, PHOTO, "-o", "out", "--start", "haze=1"], 2, "'haze' is no parameter"),
-        (["fit", SCENE, PHOTO, "-o", "out", "--tie", "gamma=fog"], 2, "'fog' is no parameter"),
+        (["fit", SCENE, PHOTO, "-o", "out", "--free", "-haze"], 2, "'-haze' is no parameter"),
+        (["fit", SCENE, PHOTO, "-o", "out", "--start", "2=1"], 2, "'2' is no parameter"),
+        (["fit", SCENE, PHOTO, "-o", "out", "--tie", "gamma=a b"], 2, "'a b' is no parameter"),
         (
             ["fit", SCENE, PHOTO, SCENE, PHOTO, "-o", "out", "--mask", PHOTO],
             2,
@@ -126,7 +130,7 @@ def test_the_first_word_needs_no_jax(
     ("typed", "offered"),
     [
         ("airlight ex", "export"),
-        ("airlight fit --lo", "--loss"),
+        ("airlight fit --los", "--loss"),
         ("airlight export f --to t", "toml"),
     ],
 )

@@ -12,7 +12,7 @@ from PIL import Image
 
 import render_gl
 from fit.cli import _guard
-from model_jax import Look, analytic_layers, composite
+from model_jax import LayersLook, analytic_layers, composite
 from tests.command import airlight
 from tests.scene_text import resized
 
@@ -121,7 +121,7 @@ def test_a_platform_without_a_device_is_named_before_the_work(
 def test_names_that_are_no_text(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The fit of a photo whose name is no UTF-8 failed at its very end, with EXR files left."""
     scene = render_gl.load_scene("scene.toml").scene
-    picture = np.asarray(composite(analytic_layers(scene), Look()))
+    picture = np.asarray(composite(analytic_layers(scene), LayersLook()))
     photo = os.fsdecode(b"p\xff.png")
     Image.fromarray(np.uint8(np.clip(picture[..., :3] * 255, 0, 255))).save(
         os.fsencode(photo), format="PNG"

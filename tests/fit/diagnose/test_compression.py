@@ -16,7 +16,7 @@ from fit.photo._pixels import Columns
 from fit.solve._declare import declare
 from fit.solve._parameters import free_directions, to_entries
 from fit.solve._problem import Point
-from model_jax import Exposure, InputError, Layers, Look, Response
+from model_jax import Exposure, InputError, Layers, LayersLook, Response
 from model_jax._tone import Srgb
 from tests.fit.looks import START, evidence_of, picture
 
@@ -27,8 +27,7 @@ def columns_at(photo: Photo, index: np.ndarray) -> Columns:
     nothing = np.zeros(len(index))
     return Columns(
         index=index.astype(np.int32),
-        lit=nothing,
-        dark=None,
+        fields={"lit": nothing},
         light=photo.linear_at(index),
         surface=None,
         clipped=None,
@@ -162,11 +161,11 @@ def test_a_shift_beyond_a_bound_takes_what_follows_along(layers64: Layers) -> No
     np.testing.assert_allclose(found, vector + along @ expected, atol=1e-8)
 
 
-LOOK = Look(brightness=1.6, shadow=0.3, tint=(0.8, 0.95, 1.25), background=0.12)
+LOOK = LayersLook(brightness=1.6, shadow=0.3, tint=(0.8, 0.95, 1.25), background=0.12)
 NAMES = ("brightness", "shadow", "tint.r", "tint.g", "tint.b", "background")
 
 
-def shot(layers: Layers, folder: Path, name: str, look: Look = LOOK, seed: int = 6) -> Photo:
+def shot(layers: Layers, folder: Path, name: str, look: LayersLook = LOOK, seed: int = 6) -> Photo:
     """A photo with some noise, in the format of the name; level and light 0.03 noise apart."""
     with jax.enable_x64(True):
         light = picture(layers, look).astype(np.float64)
@@ -293,7 +292,7 @@ def test_structure_that_compression_makes_is_undone(tmp_path: Path) -> None:
     lit = 1.5 + np.cos(cols / 90) * np.sin(rows / 70)
     dark = np.where(cols > 150, 0.6 * lit, 0.0)
     layers = Layers(np.zeros(shape), lit + dark, lit, lit + dark, planet=np.zeros(shape))
-    truth = Look(0.2, 0.3, (0.9, 1.0, 1.1), 0.05)
+    truth = LayersLook(0.2, 0.3, (0.9, 1.0, 1.1), background=0.05)
     light = picture(layers, truth) + rng.normal(scale=0.003, size=(*shape, 3))
     codes = np.round(255 * np.clip(np.asarray(Srgb().encode(light)), 0, 1)).astype(np.uint8)
     Image.fromarray(codes).save(tmp_path / "a.jpg", quality=85)

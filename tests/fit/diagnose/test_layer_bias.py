@@ -11,12 +11,12 @@ from PIL import Image
 
 import render_gl
 from fit import fit
-from model_jax import Layers, Look, Planet, Scene, analytic_layers, composite
+from model_jax import Layers, LayersLook, Planet, Scene, analytic_layers, composite
 
 SIZES = ((240, 180), (480, 360), (1280, 960))
 NOISE = 0.003
 FREE = ("brightness", "shadow", "tint", "background")
-TRUTH = Look(brightness=2.0, shadow=0.3, background=0.02)
+TRUTH = LayersLook(brightness=2.0, shadow=0.3, background=0.02)
 
 
 def scene(size: tuple[int, int]) -> Scene:
@@ -24,7 +24,7 @@ def scene(size: tuple[int, int]) -> Scene:
     return found.resized(*size)
 
 
-def exact_light(case: Scene, look: Look) -> np.ndarray:
+def exact_light(case: Scene, look: LayersLook) -> np.ndarray:
     """The picture by float64 layers."""
     with jax.enable_x64(True):
         return np.asarray(composite(analytic_layers(case, np.float64), look))[..., :3]
@@ -38,15 +38,15 @@ def test_rasterised_layers_bias_by_less_than_the_noise(size: tuple[int, int]) ->
     light = exact_light(case, TRUTH)
     noisy = light + np.random.default_rng(1).normal(scale=NOISE, size=light.shape)
     layers = render_gl.render(case, "linear")
-    errors = fit(noisy, layers, Look(), free=FREE).parameters
-    clean = fit(light, layers, Look(), free=FREE).parameters
+    errors = fit(noisy, layers, LayersLook(), free=FREE).parameters
+    clean = fit(light, layers, LayersLook(), free=FREE).parameters
     truth = {"brightness": 2.0, "shadow": 0.3, "background": 0.02}
     for name, value in truth.items():
         stderr = errors[name].stderr
         assert stderr is not None
         assert abs(clean[name].value - value) < 0.05 * stderr, name
     if size == SIZES[-1]:
-        mesh = fit(light, render_gl.render(case, "linear", "mesh"), Look(), free=FREE)
+        mesh = fit(light, render_gl.render(case, "linear", "mesh"), LayersLook(), free=FREE)
         off = abs(mesh.parameters["brightness"].value - 2.0)
         stderr = errors["brightness"].stderr
         assert stderr is not None
@@ -59,10 +59,10 @@ def test_a_mesh_in_the_layers_is_named() -> None:
     case = scene((480, 360))
     light = exact_light(case, TRUTH)
     noisy = light + np.random.default_rng(1).normal(scale=NOISE, size=light.shape)
-    exact = fit(noisy, render_gl.render(case, "linear"), Look(), free=FREE)
+    exact = fit(noisy, render_gl.render(case, "linear"), LayersLook(), free=FREE)
     assert exact.parameters["brightness"].layer_error is None
     assert not any("mesh" in warning for warning in exact.warnings)
-    drawn = fit(noisy, render_gl.render(case, "linear", "mesh"), Look(), free=FREE)
+    drawn = fit(noisy, render_gl.render(case, "linear", "mesh"), LayersLook(), free=FREE)
     shift = abs(drawn.parameters["brightness"].value - exact.parameters["brightness"].value)
     told = drawn.parameters["brightness"].layer_error
     assert told is not None
@@ -89,7 +89,7 @@ def test_relief_is_named_where_its_mesh_is_coarse(tmp_path: Path) -> None:
         layers = render_gl.render(eqx.tree_at(lambda s: s.planet, case, planet), "linear")
         light = np.asarray(composite(layers, TRUTH))[..., :3]
         noisy = light + np.random.default_rng(1).normal(scale=NOISE, size=light.shape)
-        result = fit(noisy, layers, Look(), free=FREE)
+        result = fit(noisy, layers, LayersLook(), free=FREE)
         told = result.parameters["brightness"].layer_error
         assert told is not None
         errors[triangles] = told
@@ -119,7 +119,7 @@ def test_intervals_cover_the_truth_over_layers_of(source: str) -> None:
         case, layers = drawn[SIZES[number % len(SIZES)]]
         light = exact_light(case, look)
         photo = (light + rng.normal(scale=NOISE, size=light.shape)).astype(np.float32)
-        result = fit(photo, layers, Look(), free=FREE, sampling="point")
+        result = fit(photo, layers, LayersLook(), free=FREE, sampling="point")
         assert result.verdict == "converged", result.message
         truth = {"brightness": look.brightness, "shadow": look.shadow, "background": 0.02}
         truth |= {f"tint.{c}": 1.0 for c in "rgb"}

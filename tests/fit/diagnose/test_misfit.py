@@ -16,7 +16,7 @@ from model_jax import (
     Atmosphere,
     Camera,
     Layers,
-    Look,
+    LayersLook,
     Planet,
     Scene,
     Sun,
@@ -65,9 +65,9 @@ def any_view(rng: np.random.Generator, samples: int = 1) -> Scene:
     )
 
 
-def any_look(rng: np.random.Generator) -> Look:
+def any_look(rng: np.random.Generator) -> LayersLook:
     tint = rng.uniform(0.7, 1.3, 3)
-    return Look(
+    return LayersLook(
         brightness=rng.uniform(2, 4),
         shadow=rng.uniform(0.1, 0.5),
         tint=tuple(tint / tint.mean()),
@@ -75,7 +75,7 @@ def any_look(rng: np.random.Generator) -> Look:
     )
 
 
-def light_of(scene: Scene, look: Look, samples: int = 1) -> np.ndarray:
+def light_of(scene: Scene, look: LayersLook, samples: int = 1) -> np.ndarray:
     """Means over pixels, float64."""
     with jax.enable_x64(True):
         light = np.asarray(composite(analytic_layers(scene), look))[..., :3].astype(np.float64)
@@ -94,7 +94,7 @@ def vignette(light: np.ndarray, amount: float) -> np.ndarray:
     return light * (1 - amount * (right**2 + down**2))
 
 
-def to_numbers(look: Look) -> np.ndarray:
+def to_numbers(look: LayersLook) -> np.ndarray:
     return np.array([float(look.brightness), float(look.shadow), *look.tint, look.background])
 
 
@@ -114,7 +114,7 @@ def layers() -> Layers:
     return analytic_layers(view())
 
 
-TRUTH = Look(brightness=3.0, shadow=0.2, background=0.05)
+TRUTH = LayersLook(brightness=3.0, shadow=0.2, background=0.05)
 
 
 def bend(light: np.ndarray, how: str) -> np.ndarray:
@@ -241,7 +241,7 @@ def test_the_photo_is_named(layers: Layers) -> None:
     photos = [light, vignette(light, 0.2)]
     noisy = [photo + rng.normal(scale=0.003, size=light.shape) for photo in photos]
     free = ("brightness", "shadow", "tint", "background", "exposure.2")
-    result = fit(noisy, [layers, layers], Look(), free=free)
+    result = fit(noisy, [layers, layers], LayersLook(), free=free)
     assert {m.photo for m in result.misfits} == {1}
     assert any("of photo 2" in warning for warning in result.warnings)
 
@@ -306,7 +306,7 @@ def test_antialiased_limbs_of_50_scenes(samples: int) -> None:
 
 def test_thin_air_in_noise_is_air() -> None:
     """Half of its pixels are on edges, and with them it is told from a bare limb."""
-    look = Look(0.97, 0.42, (0.83, 1.21, 0.96), background=0.14)
+    look = LayersLook(0.97, 0.42, (0.83, 1.21, 0.96), background=0.14)
     light = light_of(any_view(np.random.default_rng(8), 2), look, 2)
     light += np.random.default_rng(6).normal(scale=0.03, size=light.shape)
     result = fit(light, analytic_layers(any_view(np.random.default_rng(8))))

@@ -21,7 +21,7 @@ from fit.diagnose._spread import (
     stretch_of,
 )
 from fit.photo._pixels import Columns, block_numbers
-from model_jax import Layers, Look
+from model_jax import Layers, LayersLook
 from model_jax._tone import Linear
 from tests.fit.looks import START, TRUTH, picture
 from tests.fit.noises import NOISES
@@ -33,7 +33,8 @@ BLUR = 2.0
 
 def all_pixels(size: tuple[int, int]) -> Columns:
     n = size[0] * size[1]
-    return Columns(np.arange(n), np.ones(n), None, np.zeros((n, 3)), None, None, np.ones(3), 0.0)
+    fields = {"lit": np.ones(n)}
+    return Columns(np.arange(n), fields, np.zeros((n, 3)), None, None, np.ones(3), 0.0)
 
 
 def blurred(rng: np.random.Generator) -> np.ndarray:
@@ -188,7 +189,7 @@ def test_stretch_stops() -> None:
 
 
 TINY = (4, 6)
-TINY_LOOK = Look(1.0, 0.3, (0.9, 1.0, 1.1), 0.1)
+TINY_LOOK = LayersLook(1.0, 0.3, (0.9, 1.0, 1.1), background=0.1)
 FREE = ("brightness", "shadow", "tint", "background")
 
 

@@ -16,7 +16,7 @@ from PIL import Image, ImageCms
 import render_gl
 from fit import fit, load_photo
 from fit.photo._colour import Colours, of_icc, of_jpeg, of_png
-from model_jax import Linear, Look, Power, Sampled, Srgb, analytic_layers
+from model_jax import LayersLook, Linear, Power, Sampled, Srgb, analytic_layers
 
 CODES = np.arange(256, dtype=np.uint8).reshape(16, 16)
 STORED = CODES / 255
@@ -283,7 +283,7 @@ def test_pngs_that_say_how_light_is_coded(name: str, data_dir: Path) -> None:
     """The first two were read as sRGB. Truth: brightness 2, shadow weight 0.3."""
     cases = data_dir / "cases"
     layers = analytic_layers(render_gl.load_scene(cases / "small.toml").scene)
-    result = fit(load_photo(cases / name), layers, Look(tint=(1.0, 1.0, 1.0)))
+    result = fit(load_photo(cases / name), layers, LayersLook(tint=(1.0, 1.0, 1.0)))
     assert result.verdict == "converged"
     for parameter, truth in (("brightness", 2.0), ("shadow", 0.3)):
         interval = result.parameters[parameter].interval

@@ -12,17 +12,17 @@ from PIL import Image
 from fit import fit, load_photo
 from fit.cli._cli import app
 from fit.photo._pixels import LUMINANCE
-from model_jax import Layers, Look, Response, Srgb
+from model_jax import Layers, LayersLook, Response, Srgb
 from tests.fit.looks import START, picture
 from tests.scene_text import SCENE
 
 BLUE = (0.35, 0.55, 1.0, 1.0)
-TRUTH = Look(brightness=0.9, shadow=0.3, background=0.05)
+TRUTH = LayersLook(brightness=0.9, shadow=0.3, background=0.05)
 NAMES = ("brightness", "shadow", "background")
 SIGMA = 0.02
 
 
-def grey_light(layers: Layers, look: Look, seed: int, noise: float = SIGMA) -> np.ndarray:
+def grey_light(layers: Layers, look: LayersLook, seed: int, noise: float = SIGMA) -> np.ndarray:
     """Luminance of coloured air, [h, w], with noise."""
     with jax.enable_x64(True):
         light = picture(layers, look).astype(np.float64) @ LUMINANCE
@@ -161,7 +161,7 @@ def test_the_residual_is_of_the_grey_picture(tmp_path: Path) -> None:
     Path(scene).write_text(SCENE)
     file = load_scene(scene)
     layers = analytic_layers(file.scene)
-    light = grey_light(layers, Look(0.8, 0.3, background=0.05), 3, noise=0.01)
+    light = grey_light(layers, LayersLook(0.8, 0.3, background=0.05), 3, noise=0.01)
     codes = np.round(255 * np.clip(np.asarray(Srgb().encode(light)), 0, 1)).astype(np.uint8)
     Image.fromarray(codes).save(tmp_path / "grey.png")
     done = CliRunner().invoke(

@@ -13,14 +13,15 @@ from fit._choices import check_sampling
 from fit.photo._photo import REASONS, Photo
 from fit.photo._pixels import Columns, choose_pixels, take_columns
 from fit.solve._descend import exact_gram
+from fit.solve._layout import Layout
 from fit.solve._loss import Loss
 from fit.solve._model import Model
 from fit.solve._reduce import BINS, THIN, bins, moments, thinned
 from fit.solve._samples import TILE, Samples, to_samples
-from model_jax import InputError, Layers, Linear, layer_widths
+from model_jax import InputError, Layers, LayersLook, Linear, layer_widths
 
 SIZE = (6, 5)
-LINEAR = Model(Loss("linear"), None, True)
+LINEAR = Model(Loss("linear"), None, Layout(LayersLook), True)
 
 
 def slab(
@@ -194,16 +195,14 @@ def test_columns_hold_the_contract_widths(dtype: type) -> None:
     found, scaled = columns_of(light, layers), columns_of(light, layers, 4.0)
     used = choose_pixels(light, layers, "point").used
     lit, dark = layer_widths(layers)
-    assert found.dark is not None
-    assert scaled.dark is not None
-    assert found.lit.dtype == found.dark.dtype == np.float64
+    assert found.fields["lit"].dtype == found.fields["dark"].dtype == np.float64
     assert found.light.dtype == max(np.dtype(dtype), np.dtype(np.float32))
     np.testing.assert_array_equal(found.index, np.flatnonzero(used))
-    np.testing.assert_array_equal(found.lit, np.asarray(lit)[used])
-    np.testing.assert_array_equal(found.dark, np.asarray(dark)[used])
+    np.testing.assert_array_equal(found.fields["lit"], np.asarray(lit)[used])
+    np.testing.assert_array_equal(found.fields["dark"], np.asarray(dark)[used])
     np.testing.assert_array_equal(found.light, light[used])
-    np.testing.assert_array_equal(4 * scaled.lit, found.lit)
-    np.testing.assert_array_equal(4 * scaled.dark, found.dark)
+    np.testing.assert_array_equal(4 * scaled.fields["lit"], found.fields["lit"])
+    np.testing.assert_array_equal(4 * scaled.fields["dark"], found.fields["dark"])
     assert 4 * scaled.width_error == found.width_error
     assert (found.surface, found.clipped) == (None, None)
 
@@ -214,10 +213,8 @@ def test_lengths_along_rays_are_stretched_widths() -> None:
     light = np.ones((*SIZE, 3))
     plain, found = columns_of(light, slab()), columns_of(light, longer)
     factor = stretch.reshape(-1)[found.index].astype(np.float64)
-    np.testing.assert_allclose(found.lit, plain.lit * factor, rtol=1e-15)
-    assert found.dark is not None
-    assert plain.dark is not None
-    np.testing.assert_allclose(found.dark, plain.dark * factor, rtol=1e-15)
+    np.testing.assert_allclose(found.fields["lit"], plain.fields["lit"] * factor, rtol=1e-15)
+    np.testing.assert_allclose(found.fields["dark"], plain.fields["dark"] * factor, rtol=1e-15)
     assert found.width_error == plain.width_error * np.max(factor)
     broken = np.where(stretch == stretch.max(), np.nan, stretch)
     pixels = choose_pixels(light, replace(slab(), stretch=broken))
@@ -226,7 +223,8 @@ def test_lengths_along_rays_are_stretched_widths() -> None:
 
 def test_layers_without_shadow_have_no_dark_column() -> None:
     layers = slab()
-    assert columns_of(np.ones((*SIZE, 3)), Layers(layers.front, layers.back)).dark is None
+    found = columns_of(np.ones((*SIZE, 3)), Layers(layers.front, layers.back))
+    assert list(found.fields) == ["lit"]
 
 
 def test_clipped_samples_hold_their_bound_and_come_last() -> None:
@@ -265,20 +263,19 @@ def test_tiles_hold_each_pixel_once() -> None:
     size = (2 * TILE // 40, 50)  # two tiles and part of a third
     first = columns_of(np.random.default_rng(0).uniform(size=(*size, 3)), slab(size=size))
     second = columns_of(np.random.default_rng(1).uniform(size=(7, 9, 3)), slab(size=(7, 9)))
-    second = replace(second, dark=None)
+    second = replace(second, fields={"lit": second.fields["lit"]})
     samples = to_samples([first, second])
-    n = len(first.lit)
-    assert sizes_of_tiles(samples) == [TILE, TILE, n - 2 * TILE, len(second.lit)]
+    n = len(first.index)
+    assert sizes_of_tiles(samples) == [TILE, TILE, n - 2 * TILE, len(second.index)]
     assert np.asarray(samples.photo)[:4].tolist() == [0, 0, 0, 1]
     assert not np.asarray(samples.count)[4:].any()
-    lit = np.asarray(samples.lit)
-    np.testing.assert_array_equal(lit[:3].reshape(-1)[:n], first.lit)
-    np.testing.assert_array_equal(lit[3, : len(second.lit)], second.lit)
+    lit = np.asarray(samples.fields["lit"])
+    np.testing.assert_array_equal(lit[:3].reshape(-1)[:n], first.fields["lit"])
+    np.testing.assert_array_equal(lit[3, : len(second.index)], second.fields["lit"])
     light = np.moveaxis(np.asarray(samples.light)[:3], 1, 2).reshape(-1, 3)
     np.testing.assert_array_equal(light[:n], first.light)
     # What one photo has, all have: no shadow is a width of 0.
-    assert samples.dark is not None
-    assert not np.asarray(samples.dark)[3].any()
+    assert not np.asarray(samples.fields["dark"])[3].any()
     assert (samples.surface, samples.clipped, samples.weight, samples.one) == (None,) * 4
 
 
@@ -330,11 +327,10 @@ def test_bins_weigh_all_pixels(x64: None) -> None:
     tiles = [np.asarray(made.photo)[: int(made.used)] == k for k in range(2)]
     for columns, mine in zip((first, second), tiles, strict=True):
         rows = np.flatnonzero(mine)
-        assert weight[rows].sum() == pytest.approx(len(columns.lit), rel=1e-13)
-        assert columns.dark is not None
+        assert weight[rows].sum() == pytest.approx(len(columns.index), rel=1e-13)
         for part, whole in (
-            (np.asarray(made.lit)[rows], columns.lit),
-            (np.asarray(made.dark)[rows], columns.dark),
+            (np.asarray(made.fields["lit"])[rows], columns.fields["lit"]),
+            (np.asarray(made.fields["dark"])[rows], columns.fields["dark"]),
             (np.asarray(made.light)[rows, 1], columns.light[:, 1]),
         ):
             assert (part * weight[rows]).sum() == pytest.approx(whole.sum(), rel=1e-12, abs=1e-10)
@@ -354,14 +350,13 @@ def test_bins_weigh_all_pixels(x64: None) -> None:
 def test_bins_are_close_to_the_pixels(x64: None) -> None:
     """A width is off by half a bin at most: a 512th of the range, of the light's slope by it."""
     columns = columns_of(np.random.default_rng(3).uniform(size=(120, 90, 3)), slab(size=(120, 90)))
-    assert columns.dark is not None
     made = bins([columns])
     n = int((np.asarray(made.weight) > 0).sum())
-    assert n < len(columns.lit)
-    spread = float((columns.lit**2).sum())
-    weighted = float((np.asarray(made.weight) * np.asarray(made.lit) ** 2).sum())
+    assert n < len(columns.index)
+    spread = float((columns.fields["lit"] ** 2).sum())
+    weighted = float((np.asarray(made.weight) * np.asarray(made.fields["lit"]) ** 2).sum())
     # The mean of squares exceeds the square of the mean by a bin's variance, at most (bin / 2)².
-    room = len(columns.lit) * (np.ptp(columns.lit) / BINS / 2) ** 2
+    room = len(columns.index) * (np.ptp(columns.fields["lit"]) / BINS / 2) ** 2
     assert 0 <= spread - weighted <= room
 
 
@@ -370,8 +365,7 @@ def test_thinned_pixels_stand_for_all(x64: None) -> None:
     rng = np.random.default_rng(4)
     whole = Columns(
         index=np.arange(n),
-        lit=rng.uniform(size=n),
-        dark=None,
+        fields={"lit": rng.uniform(size=n)},
         light=rng.uniform(size=(n, 3)),
         surface=rng.uniform(size=(n, 3)),
         clipped=np.zeros((n, 3), np.int8),
@@ -382,4 +376,4 @@ def test_thinned_pixels_stand_for_all(x64: None) -> None:
     kept = -(-n // 2)
     assert np.asarray(few.weight).sum() == 2 * kept
     assert int(np.asarray(few.count).sum()) == kept
-    assert np.asarray(few.lit)[0, :5].tolist() == whole.lit[:10:2].tolist()
+    assert np.asarray(few.fields["lit"])[0, :5].tolist() == whole.fields["lit"][:10:2].tolist()

@@ -2,6 +2,9 @@
 
 from typing import Any
 
+from model_jax import LayersLook
+from model_jax._look import look_record
+
 
 def row(value: float, stderr: float | None = None, **changes: Any) -> dict[str, Any]:
     """A parameter of the document; free when it has an error."""
@@ -73,7 +76,8 @@ def document(**changes: Any) -> dict[str, Any]:
         "errors": ERRORS,
         "residual_rms": 0.00418,
         "explained": 0.9981,
-        "brightness_per_length": 0.5477,
+        "look": look_record(LayersLook()),
+        "per_length": {"brightness": 0.5477},
         "width_unit": 5.5,
         "pixels": PIXELS,
         "photos": [photo_row()],

@@ -25,18 +25,27 @@ from hypothesis import strategies as st
 import render_gl
 from fit import fit
 from fit.report._export import Format, export_text, float_literal
-from fit.report._fitted import read_fit
-from model_jax import PARAMETERS, InputError, Look, Scene, combine, composite, layer_widths
+from fit.report._fitted import SCHEMA, read_fit
+from model_jax import (
+    InputError,
+    LayersLook,
+    Look,
+    Scene,
+    combine,
+    composite,
+    layer_widths,
+)
 from render_gl import DepthFormat, _shaders
 from render_gl._context import on_gl
 from render_gl._draw import draw
+from render_gl._looks import look_text
 from render_gl._parity import EPS, Parity, compare, measure_division
 from render_gl._render import frame_layers
 from tests.command import airlight
 from tests.fit.looks import START, TRUTH, picture, scene
 from tests.scene_text import resized
 
-ODD = Look(
+ODD = LayersLook(
     brightness=2.7182818284590455,
     shadow=[0.0, 1 / 3, 1.2345678901234567],
     tint=[0.1, 1.7000000000000002, 1.2],
@@ -50,18 +59,30 @@ def entry(value: Any, **changes: Any) -> dict[str, Any]:
     return plain | {"bounds": [0.0, None], "quantisation_bound": None} | changes
 
 
-def document_of(look: Look, width_unit: float | None = None, **changes: Any) -> dict[str, Any]:
+def _finite(bound: float) -> float | None:
+    return bound if np.isfinite(bound) else None
+
+
+def document_of(
+    look: LayersLook, width_unit: float | None = None, **changes: Any
+) -> dict[str, Any]:
     """A fit.json of a look."""
     parameters: dict[str, Any] = {}
-    for family in PARAMETERS:
+    for family in LayersLook.PARAMETERS:
         value = getattr(look, family)
         if np.shape(value):
             names = [f"{family}.{channel}" for channel in "rgb"]
             parameters |= {n: entry(float(v)) for n, v in zip(names, value, strict=True)}
         else:
             parameters[family] = entry(float(value))
+        about = LayersLook.PARAMETERS[family]
+        for name in (n for n in parameters if n.partition(".")[0] == family):
+            parameters[name] |= {"unit": about.unit, "meaning": about.meaning}
+            parameters[name]["bounds"] = [_finite(about.lower), _finite(about.upper)]
+    shapes = {name: about.shape for name, about in LayersLook.PARAMETERS.items()}
+    told = {"look": {"kind": "layers", "light": "Air as a slab: `brightness ·`", "shapes": shapes}}
     unit = {} if width_unit is None else {"width_unit": width_unit}
-    made = {"schema": 2, "verdict": "converged"}
+    made = {"schema": SCHEMA, "verdict": "converged"} | told
     made |= {"photos": [{"photo": "limb.png", "scene": "limb.toml"}]}
     return made | unit | {"parameters": parameters} | changes
 
@@ -85,35 +106,40 @@ def written(tmp_path: Path) -> Writer:
 
 
 def pasted(shader: str, lines: str) -> str:
-    """`combine.glsl` with exported lines in place of its uniforms of the same names and types."""
-    constants = re.findall(r"^const highp (\w+) (\w+) = ", lines, re.MULTILINE)
-    kept = shader
-    for shape, name in constants:
-        kept = re.sub(rf"^uniform {shape} {name};.*\n", "", kept, flags=re.MULTILINE)
-    assert {name for _, name in constants} >= {"brightness", "shadow", "tint", "background"}
-    assert not re.search(r"^uniform \w+ (brightness|shadow|tint)\b", kept, re.MULTILINE)
-    return lines + kept
+    """A shader's text without the uniforms that exported lines replace."""
+    for shape, name in re.findall(r"^const highp (\w+) (\w+) = ", lines, re.MULTILINE):
+        shader = re.sub(rf"^uniform {shape} {name};.*\n", "", shader, flags=re.MULTILINE)
+    return shader
 
 
 def drawn(
-    case: Scene, lines: str, look: Look, depth_format: DepthFormat, monkeypatch: pytest.MonkeyPatch
+    case: Scene,
+    lines: str,
+    look: Look,
+    depth_format: DepthFormat,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> Parity:
     """The exported shader's picture against JAX's of `look`, with what rounding explains."""
     original = _shaders._read
+    own = pasted(look_text(LayersLook), lines)
+    names = {name for _, name in re.findall(r"^const highp (\w+) (\w+) = ", lines, re.MULTILINE)}
+    assert names >= {"brightness", "shadow", "tint", "background"}
+    assert "uniform" not in own
 
     def read(name: str) -> str:
-        text = original(name)
-        if name == "combine.glsl":
-            return pasted(text, lines)
+        text = pasted(original(name), lines)
+        if name == "fields.glsl":
+            return lines + text
         if name == "combine.frag":  # the frame buffer's part, where there is air
-            assert "air = combine(depths, 1.0);" in text
-            return text.replace("depths, 1.0);", "depths, 1.0) + vec4(background, 0.0);")
+            assert "vec4(light, alpha)" in text
+            return text.replace("vec4(light, alpha)", "vec4(light + background, alpha)")
         return text
 
-    wrong = Look(brightness=123.0, shadow=0.77, tint=[2.0, 0.5, 0.5], background=9.0)
+    wrong = LayersLook(brightness=123.0, shadow=0.77, tint=[2.0, 0.5, 0.5], background=9.0)
     division = measure_division(case, depth_format)
     with monkeypatch.context() as patched:
         patched.setattr(_shaders, "_read", read)
+        patched.setattr("render_gl._raster.look_text", lambda kind: own)
         frame = draw(case, wrong, depth_format)
     layers = frame_layers(case, frame, depth_format)
     air = np.asarray(layers.has_air)[..., None]
@@ -150,7 +176,7 @@ def test_exported_shader_draws_the_fits_picture(
     case = scene()
     layers = render_gl.render(case, "linear")
     found = fit(picture(layers, TRUTH), layers, START)
-    document = {"schema": 2, "photo": "p.png"} | found.to_dict()
+    document = {"schema": SCHEMA, "photo": "p.png"} | found.to_dict()
     lines = export_text(read_fit(written(document)), Format.glsl)
     parity = drawn(case, lines, found.look, "linear", monkeypatch)
     assert parity.passed, parity.summary()
@@ -248,15 +274,15 @@ def test_the_driver_reads_literals_as_the_same_float32(rng: np.random.Generator)
 
 LOOKS = {
     "odd": ODD,
-    "default": Look(),
-    "one number each": Look(brightness=1e-300, shadow=0.1 + 0.2, background=-5e-324),
-    "integers": Look(brightness=3, shadow=0, tint=(1, 2, 0), background=1e22),
+    "default": LayersLook(),
+    "one number each": LayersLook(brightness=1e-300, shadow=0.1 + 0.2, background=-5e-324),
+    "integers": LayersLook(brightness=3, shadow=0, tint=(1, 2, 0), background=1e22),
 }
 
 
 @pytest.mark.parametrize("look", LOOKS.values(), ids=LOOKS.keys())
 def test_toml_is_a_look_that_scenes_load_bit_for_bit(
-    written: Writer, tmp_path: Path, look: Look
+    written: Writer, tmp_path: Path, look: LayersLook
 ) -> None:
     document = document_of(look, 5.5, photos=[{"photo": 'odd "name"\n\x7f é.png'}])
     document["parameters"]["exposure"] = entry(1.5)
@@ -265,14 +291,14 @@ def test_toml_is_a_look_that_scenes_load_bit_for_bit(
     rest += "height=8\nnear=0.5\nfar=6\n[planet]\nradius=1\n[atmosphere]\nheight=0.2\n"
     (tmp_path / "scene.toml").write_text(rest + text)
     loaded = render_gl.load_scene(tmp_path / "scene.toml").look
-    for family in PARAMETERS:
+    for family in LayersLook.PARAMETERS:
         mine, theirs = np.asarray(getattr(look, family)), np.asarray(getattr(loaded, family))
         assert mine.shape == theirs.shape
         assert mine.tobytes() == theirs.tobytes()
 
 
 def test_json_is_flat_and_ordered(written: Writer) -> None:
-    document = document_of(ODD, 5.5, brightness_per_length=0.5)
+    document = document_of(ODD, 5.5, per_length={"brightness": 0.5})
     shuffled = dict(reversed(document["parameters"].items()))
     text = export_text(read_fit(written(document)), Format.json)
     assert export_text(read_fit(written(document | {"parameters": shuffled})), Format.json) == text
@@ -282,7 +308,7 @@ def test_json_is_flat_and_ordered(written: Writer) -> None:
     assert flat["tint.g.stderr"] == 0.01
     assert flat["width_unit"] == 5.5
     assert all(isinstance(value, str | float) for value in flat.values())
-    assert list(flat)[:3] == ["verdict", "brightness", "brightness.stderr"]
+    assert list(flat)[:4] == ["verdict", "look", "brightness", "brightness.stderr"]
 
 
 def test_csv_has_a_row_for_each_number(written: Writer) -> None:
@@ -311,7 +337,7 @@ MORE = {
 
 @pytest.mark.parametrize("to", list(Format))
 def test_no_parameter_is_lost(written: Writer, to: Format) -> None:
-    document = document_of(Look())
+    document = document_of(LayersLook())
     document["parameters"] |= MORE
     text = export_text(read_fit(written(document)), to)
     for known in MORE.values():
@@ -337,9 +363,9 @@ def test_response_constants_are_marked_and_named_by_photo(
 
 
 def test_glsl_says_where_numbers_come_from_and_what_they_are(written: Writer) -> None:
-    document = document_of(Look(), 5.5, explained=0.98765)
-    document["parameters"]["brightness"] = entry(3.0, stderr=0.0123)
-    document["parameters"]["background"] = entry(0.0, role="held", free=False, stderr=None)
+    document = document_of(LayersLook(), 5.5, explained=0.98765)
+    document["parameters"]["brightness"] |= {"stderr": 0.0123}
+    document["parameters"]["background"] |= {"role": "held", "free": False, "stderr": None}
     text = export_text(read_fit(written(document)), Format.glsl)
     assert text.startswith('// Look of the air, fitted by airlight to "limb.png" with "limb.toml".')
     assert "// Verdict: converged.\n// Explains 98.76 % of the light's variance." in text
@@ -365,7 +391,7 @@ def test_both_forms_compile_as_they_are_and_hold_the_numbers(
     written: Writer, to: Format, version: str
 ) -> None:
     """By the driver's compiler; what a fragment reads is the float32 nearest to each value."""
-    document = document_of(ODD, 12950.0, brightness_per_length=1e-5, **SCENE_FACTS)
+    document = document_of(ODD, 12950.0, per_length={"brightness": 1e-5}, **SCENE_FACTS)
     lines = export_text(read_fit(written(document)), to)
     vertex = f"""{version}
         in vec2 place;

@@ -16,7 +16,7 @@ from fit.report._wording import shown_parameters, span, verdict_sentence
 from model_jax import (
     Atmosphere,
     Camera,
-    Look,
+    LayersLook,
     Planet,
     Scene,
     Srgb,
@@ -34,13 +34,13 @@ SCENE = Scene(
     Sun([1, -0.3, 0.2]),
 )
 LAYERS = analytic_layers(SCENE)
-PICTURE = np.asarray(combine(LAYERS, Look()))[..., :3]
+PICTURE = np.asarray(combine(LAYERS, LayersLook()))[..., :3]
 
 
 def document(photo: np.ndarray = PICTURE, **changes: Any) -> dict[str, Any]:
     """A fit.json document as the command line makes it."""
     facts = {
-        "schema": 2,
+        "schema": 3,
         "scene": "scene.toml",
         "photo": "photo.png",
         **copy.deepcopy(told(photo.tobytes())),

@@ -13,7 +13,7 @@ from model_jax import (
     Atmosphere,
     Camera,
     Layers,
-    Look,
+    LayersLook,
     Planet,
     Response,
     Scene,
@@ -254,15 +254,19 @@ def photo_of(case: Case, light: float, length: float, dtype: str) -> tuple[Layer
     return layers, (picture * light).astype(dtype)
 
 
-def start_of(place: Fit) -> tuple[Look, Response]:
+def start_of(place: Fit) -> tuple[LayersLook, Response]:
     """Near: 10 % off; far: 100 × off; bound: zero or the end of the range."""
     brightness = TRUTH[0] * place.light**place.case.gamma / place.length
     background = TRUTH[5] * place.light**place.case.gamma
     is_free = place.case.gamma != 1
     if place.start == "near":
         gamma = 0.9 * place.case.gamma if is_free else 1.0
-        return Look(1.1 * brightness, 0.22, (1, 1, 1), 1.1 * background), Response(1, gamma)
+        return LayersLook(1.1 * brightness, 0.22, (1, 1, 1), background=1.1 * background), Response(
+            1, gamma
+        )
     if place.start == "far":
         gamma = 10.0 if is_free else 1.0
-        return Look(100 * brightness, 20.0, (1, 1, 1), 100 * background), Response(1, gamma)
-    return Look(0.0, 0.0, (3, 0, 0), 0.0), Response(1, 0.1 if is_free else 1.0)
+        return LayersLook(100 * brightness, 20.0, (1, 1, 1), background=100 * background), Response(
+            1, gamma
+        )
+    return LayersLook(0.0, 0.0, (3, 0, 0), background=0.0), Response(1, 0.1 if is_free else 1.0)

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from fit.solve._bijections import (
     INSIDE,
-    from_tints,
+    from_shares,
     from_value,
     inside,
     mean_free,
-    to_tints,
+    to_shares,
     to_value,
 )
 
@@ -148,8 +148,8 @@ def test_nan_goes_through(limits: tuple[float, float]) -> None:
     assert np.isnan(to_value(one(np.nan), lower, upper, size)).all()
     assert np.isnan(from_value(one(np.nan), lower, upper, size)).all()
     basis = mean_free([True, True, True])
-    assert np.isnan(to_tints(np.array([np.nan, 0.0]), basis, 3.0)).all()
-    assert np.isnan(from_tints(np.array([1.0, np.nan, 1.0]), basis)).all()
+    assert np.isnan(to_shares(np.array([np.nan, 0.0]), basis, 3.0)).all()
+    assert np.isnan(from_shares(np.array([1.0, np.nan, 1.0]), basis)).all()
 
 
 @family
@@ -187,15 +187,15 @@ def test_tints(members: tuple[bool, ...], u: tuple[float, float], total: float) 
     """Positive, of the right sum, and back: logs of up to 40 lose that many eps."""
     basis = mean_free(members)
     step = np.array(u[: basis.shape[1]])
-    tints = to_tints(step, basis, total)
+    tints = to_shares(step, basis, total)
     assert (tints[list(members)] > 0).all()
     assert tints[list(members)].sum() == pytest.approx(total, rel=8 * EPS)
-    np.testing.assert_allclose(from_tints(np.asarray(tints), basis), step, atol=200 * EPS)
+    np.testing.assert_allclose(from_shares(np.asarray(tints), basis), step, atol=200 * EPS)
 
 
 @pytest.mark.parametrize("u", [1e3, -1e3, 1e5, -1e300], ids=str)
 def test_extreme_tints(u: float) -> None:
-    tints = to_tints(np.array([u, 0.0]), mean_free([True, True, True]), 3.0)
+    tints = to_shares(np.array([u, 0.0]), mean_free([True, True, True]), 3.0)
     assert np.isfinite(tints).all()
     assert (tints >= 0).all()
     assert tints.sum() == pytest.approx(3.0, rel=8 * EPS)
@@ -205,9 +205,9 @@ def test_tints_jacobian_against_differences() -> None:
     """Reverse mode, and central differences of step 1e-5: 1e-10 of their third derivatives."""
     basis, u, step = mean_free([True, True, True]), np.array([0.3, -0.7]), 1e-5
     with jax.enable_x64(True):
-        exact = jax.jacrev(lambda x: to_tints(x, jnp.asarray(basis), 3.0))(jnp.asarray(u))
+        exact = jax.jacrev(lambda x: to_shares(x, jnp.asarray(basis), 3.0))(jnp.asarray(u))
     for k, unit in enumerate(np.eye(2)):
-        moved = [to_tints(u + sign * step * unit, basis, 3.0) for sign in (1, -1)]
+        moved = [to_shares(u + sign * step * unit, basis, 3.0) for sign in (1, -1)]
         slope = (moved[0] - moved[1]) / (2 * step)
         np.testing.assert_allclose(exact[:, k], slope, atol=1e-9)
     np.testing.assert_allclose(np.asarray(exact).sum(axis=0), 0, atol=8 * EPS)

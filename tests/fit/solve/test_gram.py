@@ -13,11 +13,12 @@ from fit.photo._pixels import choose_pixels, take_columns
 from fit.solve._declare import declare
 from fit.solve._descend import Atlas, Pass
 from fit.solve._gram import compressed
+from fit.solve._layout import Layout
 from fit.solve._loss import Loss
 from fit.solve._model import Model
 from fit.solve._parameters import chart, to_entries
 from fit.solve._samples import to_samples
-from model_jax import Layers, Look, Response, composite
+from model_jax import Layers, LayersLook, Response, composite
 from tests.fit.looks import TRUTH, picture
 
 SOLVERS: dict[str, Any] = {
@@ -34,22 +35,24 @@ def test_optimistix_solves_the_tiled_pass(name: str, layers64: Layers, x64: None
     photo = photo + np.random.default_rng(5).normal(scale=0.02, size=photo.shape)
     pixels = choose_pixels(photo, layers64)
     columns = take_columns(photo, layers64, pixels.used, float(layers64.width_unit))
-    samples = jax.tree.map(jnp.asarray, to_samples([columns], tile=len(columns.lit) // 5))
+    samples = jax.tree.map(jnp.asarray, to_samples([columns], tile=len(columns.index) // 5))
     assert int(samples.used) == 6
-    start = Look(2.0, 0.4, TRUTH.tint)
+    start = LayersLook(2.0, 0.4, TRUTH.tint)
     parameters = declare(start, [Response()], free=["brightness", "shadow", "background"])
     free = [p for p in parameters if p.role == "free"]
     here = chart(to_entries(parameters), free, parameters)
     whiten = jnp.eye(len(here.start))
-    atlas = Atlas(**{k: jnp.asarray(v) for k, v in vars(here).items()}, whiten=whiten)
-    whole = Pass(atlas, samples, Model(Loss("linear"), None, True), jnp.asarray(1.0))
+    known = {k: jnp.asarray(v) for k, v in vars(here).items() if k != "shares"}
+    atlas = Atlas(**known, whiten=whiten, shares=here.shares)
+    model = Model(Loss("linear"), None, Layout(LayersLook), True)
+    whole = Pass(atlas, samples, model, jnp.asarray(1.0))
     solution: optx.Solution = optx.least_squares(
         compressed, SOLVERS[name], jnp.zeros_like(here.start), whole, max_steps=500, throw=False
     )
     found = atlas.entries(solution.value)
 
     def residual(x: np.ndarray) -> np.ndarray:
-        look = Look(x[0], x[1], TRUTH.tint, x[2])
+        look = LayersLook(x[0], x[1], TRUTH.tint, background=x[2])
         return np.ravel((np.asarray(composite(layers64, look))[..., :3] - photo)[pixels.used])
 
     best = scipy.optimize.least_squares(residual, [2.0, 0.4, 0.0], xtol=1e-12, ftol=1e-12).x

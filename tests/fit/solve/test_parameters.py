@@ -11,7 +11,7 @@ from fit import fit
 from fit._judge import _verdict
 from fit.solve._declare import declare
 from fit.solve._polish import is_settled
-from model_jax import InputError, Layers, Look, Response
+from model_jax import InputError, Layers, LayersLook, Response
 
 NOISE = 0.02
 TINT = (0.8, 0.9, 1.3)
@@ -36,10 +36,10 @@ def photo(widths: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     return 3.0 * np.array(TINT) * (lit + 0.2 * dark)[..., None] + 0.01 + noise
 
 
-LOOK = Look(3.0, 0.2, TINT, 0.01)
+LOOK = LayersLook(3.0, 0.2, TINT, background=0.01)
 
 
-EACH = Look(3.0, (0.1, 0.2, 0.3), TINT, (0.0, 0.01, 0.02))
+EACH = LayersLook(3.0, (0.1, 0.2, 0.3), TINT, background=(0.0, 0.01, 0.02))
 UNITS = {
     "brightness": "1/width_unit",
     "shadow": "1",
@@ -53,10 +53,10 @@ UNITS = {
 
 @pytest.mark.parametrize("look", [LOOK, EACH], ids=["one number", "per channel"])
 @pytest.mark.parametrize("photos", [1, 2])
-def test_records_say_what_a_parameter_is(look: Look, photos: int) -> None:
+def test_records_say_what_a_parameter_is(look: LayersLook, photos: int) -> None:
     """For every field of a look and of a response: unit, range, typical size and meaning."""
     records = declare(look, [Response()] * photos)
-    families = [field.name for kind in (Look, Response) for field in fields(kind)]
+    families = [*LayersLook.PARAMETERS, *(field.name for field in fields(Response))]
     assert list(dict.fromkeys(p.family for p in records)) == families == list(UNITS)
     for p in records:
         assert p.unit == UNITS[p.family]
@@ -145,7 +145,7 @@ def test_just_inside_is_not_at_bound(gap: float, layers: Layers, photo: np.ndarr
 
 @pytest.mark.parametrize("start", [0.0, 2.0, 5.0], ids=["lower", "upper", "beyond"])
 def test_starts_on_a_bound(start: float, layers: Layers, photo: np.ndarray) -> None:
-    look = Look(3.0, start, TINT, 0.01)
+    look = LayersLook(3.0, start, TINT, background=0.01)
     bounds = {"shadow": (0.0, 2.0)}
     result = fit(photo, layers, look, free=("brightness", "shadow"), bounds=bounds)
     assert result.verdict == "converged"
@@ -166,7 +166,7 @@ def test_ties(layers: Layers, photo: np.ndarray) -> None:
     assert (r.value + g.value + b.value) / 3 == pytest.approx(1.0, abs=1e-12)
     many = [photo, photo, photo]
     chain = {"exposure.3": "exposure.2", "exposure.2": "exposure.1"}
-    look = Look(1.0, 0.2, TINT, 0.01)
+    look = LayersLook(1.0, 0.2, TINT, background=0.01)
     shared = fit(many, [layers] * 3, look, free=("exposure.1",), tied=chain)
     values = [shared.parameters[f"exposure.{k}"] for k in (1, 2, 3)]
     assert shared.verdict == "converged"
@@ -226,9 +226,9 @@ def test_bad_requests(
 
 def test_starts_that_are_no_numbers() -> None:
     with pytest.raises(InputError, match=r"look.brightness: .*nan.* must be finite"):
-        Look(float("nan"))
+        LayersLook(float("nan"))
     with pytest.raises(InputError, match=r"look.tint: .* must be finite"):
-        Look(1.0, 0.2, (1.0, np.nan, 1.0))
+        LayersLook(1.0, 0.2, (1.0, np.nan, 1.0))
     with pytest.raises(InputError, match=r"response.gamma: .*nan.* must be a finite number"):
         Response(1.0, float("nan"))
 

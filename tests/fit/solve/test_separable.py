@@ -15,11 +15,11 @@ from fit.solve._parameters import free_directions
 from fit.solve._problem import Problem
 from fit.solve._search import End
 from fit.solve._separable import Least, least_square_sum
-from model_jax import Layers, Look, Response, layer_widths
+from model_jax import Layers, LayersLook, Response, layer_widths
 from tests.fit.looks import START, TRUTH, picture
 
 NOISE = 0.02
-CHANNELS = Look(3.0, (0.2, 0.3, 0.4))
+CHANNELS = LayersLook(3.0, (0.2, 0.3, 0.4))
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,9 @@ def ends(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Problem, End]]:
 
 def least(problem: Problem, end: End) -> Least:
     reduced = jax.device_get(problem.reduced)
-    found = least_square_sum(reduced, end.vector, end.free, problem.parameters)
+    found = least_square_sum(
+        reduced, end.vector, end.free, problem.parameters, problem.model.layout
+    )
     assert found is not None
     return found
 
@@ -70,7 +72,7 @@ def test_it_is_the_generalised_eigenvalue(
     assert least(problem, end).square_sum == pytest.approx(expected, abs=room)
 
 
-FREE: dict[str, tuple[Look, Sequence[str] | None]] = {
+FREE: dict[str, tuple[LayersLook, Sequence[str] | None]] = {
     "all": (START, None),
     "brightness": (START, ["brightness"]),
     "shadow": (START, ["shadow"]),

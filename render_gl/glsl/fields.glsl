@@ -1,15 +1,10 @@
-// The combine step of the paper (section 4, "Pixel Shader code"): four depths -> widths -> colour.
-// Twins: linearize_depth, layer_widths and combine in model_jax. Defines: LINEAR when the depths are
-// eye depths already, REVERSED when nearer is more, SHADOWS = how many shadow volumes there are,
-// absent for none.
+// The combine step of the paper (section 4, "Pixel Shader code") up to its widths: depths -> fields.
+// Twins: linearize_depth and layer_widths in model_jax. Defines: LINEAR when the depths are eye depths
+// already, REVERSED when nearer is more, SHADOWS = how many shadow volumes there are, absent for none.
 
 uniform vec2 depth_constants;  // a, b of the depth linearisation; unused when LINEAR
 uniform vec2 plane_depths;     // near and far; unused when LINEAR
 uniform float width_unit;      // far - near, scene length units
-uniform float brightness;
-uniform vec3 shadow;           // shadow weight per channel
-uniform vec3 tint;             // factor per channel on the air's colour
-uniform vec4 color;            // the air's: linear rgb, and alpha
 
 #ifdef REVERSED
 #define NEARER max
@@ -78,14 +73,4 @@ vec2 layer_widths(float depths[DEPTHS], float stretch) {
     widths.x += back - reached;
 #endif
     return widths * stretch / width_unit;
-}
-
-vec4 combine(float depths[DEPTHS], float stretch) {
-    vec2 widths = layer_widths(depths, stretch);
-#ifdef SHADOWS
-    vec3 light = color.rgb * tint * (widths.x + shadow * widths.y);
-#else
-    vec3 light = color.rgb * tint * widths.x;
-#endif
-    return vec4(brightness * light, depths[0] != depths[1] ? color.a : 0.0);
 }

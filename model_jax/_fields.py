@@ -1,0 +1,160 @@
+"""Fields: what a pixel's ray meets, computed only if a look asks for it.
+
+`layer_widths` is the contract's first half: the same lines as in `fields.glsl`, in the same order,
+so that the two differ by rounding only.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ._errors import InputError
+from ._kinds import need
+from ._layers import Layers
+from ._shapes import AnyArray, Depth, Shadows, Width
+
+
+@dataclass(frozen=True)
+class Field:
+    """What there is to know of a field."""
+
+    meaning: str
+    unit: str
+    absent: str = ""
+    """Why layers may have none of it; it is the number 0 then. Empty: layers must have it."""
+    unseen: str = ""
+    """What is said where it is 0 in all pixels."""
+    of_shadow: bool = False
+    """Whether shadows are drawn for it."""
+
+
+FIELDS: dict[str, Field] = {
+    "width": Field("width of the air on the ray", "width_unit"),
+    "lit": Field(
+        "width of lit air on the ray", "width_unit", unseen="no pixel used is lit", of_shadow=True
+    ),
+    "dark": Field(
+        "width of shadowed air on the ray",
+        "width_unit",
+        absent="the layers hold no shadow: no sun is given, or no air in view is in shadow",
+        unseen="no pixel used is in shadow",
+        of_shadow=True,
+    ),
+    "planet": Field("1 where the planet or an occluder ends the ray, 0 where space does", "1"),
+}
+"""Every field a look may ask for. All are `[..., 1]`; the air's `color`, `[..., 3]`, is always
+there."""
+
+WIDTHS = ("width", "lit", "dark")
+"""Those that are lengths of air."""
+
+
+class Fields(eqx.Module):
+    """What a look asked for, as attributes; what nothing in view has is the number 0."""
+
+    color: Any
+    """Linear RGB of the air, [..., 3]."""
+    values: dict[str, Any]
+
+    def __getattr__(self, name: str) -> Any:
+        values = self.__dict__.get("values", {})
+        if name in values:
+            return values[name]
+        if name in FIELDS and "values" in self.__dict__:
+            raise InputError(f"fields.{name}: is not in the look's NEEDS; add it there")
+        known = ", ".join(("color", *FIELDS))
+        raise AttributeError(f"fields have no {name!r}; there are {known}")
+
+
+def fields_of(layers: Layers, needs: Sequence[str]) -> dict[str, AnyArray]:
+    """The fields that a look needs, [h, w] each; without those that the layers have none of.
+
+    Raises `InputError` naming a field that these layers cannot give.
+    """
+    need("layers", layers, Layers)
+    found: dict[str, AnyArray] = {}
+    if "width" in needs:
+        found["width"] = air_width(layers)
+    if "lit" in needs or "dark" in needs:
+        lit, dark = layer_widths(layers)
+        found |= {"lit": lit} if "lit" in needs else {}
+        found |= {"dark": dark} if "dark" in needs and dark is not None else {}
+    if "planet" in needs:
+        if layers.planet is None:
+            raise InputError(
+                "layers: do not tell planet from space, which the look asks for (its field "
+                "planet); give layers with a planet, or another look"
+            )
+        found["planet"] = jnp.asarray(layers.planet, jnp.asarray(layers.front).dtype)
+    return {name: found[name] for name in needs if name in found}
+
+
+def uses_shadow(needs: Sequence[str]) -> bool:
+    """Whether shadows have to be drawn and read for a look."""
+    return any(FIELDS[name].of_shadow for name in needs)
+
+
+def air_width(layers: Layers) -> Width:
+    """Width of air along each pixel's ray, lit or not, in units of `layers.width_unit`."""
+    front = jnp.asarray(layers.front)
+    return _in_units(jnp.asarray(layers.back) - front, layers)
+
+
+def layer_widths(layers: Layers) -> tuple[Width, Width | None]:
+    """Lit and shadowed width of air along each pixel's ray, in units of `layers.width_unit`.
+
+    Returns:
+        `(lit, dark)`; `dark` is `None` when the layers have no shadow. Both are along the camera's
+        axis (eye depth), as in the paper, unless the layers bring a `stretch`. `lit + dark` is the
+        width of the air; rounding can make either negative by an ulp of the depths. What several
+        shadows cover counts once.
+
+    Twin: `layer_widths` in `fields.glsl`.
+    """
+    need("layers", layers, Layers)
+    lit, dark = _depth_widths(layers)
+    return _in_units(lit, layers), None if dark is None else _in_units(dark, layers)
+
+
+def _in_units(width: Width, layers: Layers) -> Width:
+    dtype = jnp.asarray(layers.front).dtype
+    if layers.stretch is not None:
+        width = width * jnp.asarray(layers.stretch, dtype)
+    return width / jnp.asarray(layers.width_unit, dtype)
+
+
+def _depth_widths(layers: Layers) -> tuple[Width, Width | None]:
+    """Widths along the camera's axis, scene length units."""
+    front, back = jnp.asarray(layers.front), jnp.asarray(layers.back)
+    if layers.shadow_front is None or layers.shadow_back is None:
+        return back - front, None
+    if np.ndim(layers.shadow_front) > back.ndim:
+        return _union_widths(front, back, layers.shadow_front, layers.shadow_back)
+    shadow_back = jnp.minimum(jnp.maximum(layers.shadow_back, front), back)
+    shadow_front = jnp.minimum(jnp.maximum(layers.shadow_front, front), back)
+    lit = (back - shadow_back) + (shadow_front - front)
+    return lit, shadow_back - shadow_front
+
+
+def _union_widths(
+    front: Depth, back: Depth, shadow_front: Shadows, shadow_back: Shadows
+) -> tuple[Width, Width]:
+    """Lengths between front and back, outside and inside the union of the shadows.
+
+    From front to back, each shadow adds what lies beyond all that ended before; summing parts
+    instead of subtracting lengths from the whole leaves nothing to cancel.
+    """
+    front, back = front[None], back[None]
+    begin, end = (jnp.clip(depth, front, back) for depth in (shadow_front, shadow_back))
+    order = jnp.argsort(begin, axis=0)
+    begin, end = (jnp.take_along_axis(depth, order, axis=0) for depth in (begin, end))
+    reached = jax.lax.cummax(end, axis=0)
+    before = jnp.concatenate([front, reached[:-1]])
+    lit = jnp.sum(jnp.maximum(begin - before, 0), axis=0) + (back[0] - reached[-1])
+    dark = jnp.sum(jnp.maximum(end - jnp.maximum(begin, before), 0), axis=0)
+    return lit, dark

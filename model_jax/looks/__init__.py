@@ -1,0 +1,1 @@
+"""Looks: one file each, a class with parameters and `air`; `_registry` finds them."""

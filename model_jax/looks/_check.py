@@ -1,0 +1,180 @@
+"""Is a look what it says? Its record, and its `air` tried on sample fields.
+
+What a user would meet hours later as a NaN or a wrong reduction is refused here by name.
+"""
+
+import itertools
+from functools import cache
+from typing import Any, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._composite import air_light
+from .._errors import InputError, shown
+from .._fields import FIELDS, WIDTHS
+from .._look import Blend, Look, defaults
+from .._shapes import AnyArray
+
+SAMPLES = np.concatenate([[0.0, 1e-6, 1.0, 4.0], np.random.default_rng(8).uniform(0, 1, 12)])
+"""Widths that a look is tried on, in width units: none, next to none, a few, and any."""
+
+LINEAR = 1e-4
+"""Relative difference from a straight line that float32 may make of one: some hundred roundings."""
+
+
+@cache
+def check_look(kind: type[Look]) -> None:
+    """Raise `InputError` naming the look and what is wrong with it, if anything is."""
+    try:
+        _check_record(kind)
+        with jax.ensure_compile_time_eval():  # a fit may be inside of somebody's jit
+            _check_air(kind)
+    except InputError as error:
+        begin = f"look {kind.NAME}: "
+        text = str(error)
+        raise InputError(text if text.startswith(f"look {kind.NAME}") else begin + text) from None
+
+
+def _check_record(kind: type[Look]) -> None:
+    """The facts that need no arithmetic."""
+    unknown = [name for name in (*kind.NEEDS, *kind.LINEAR_IN) if name not in FIELDS]
+    if unknown:
+        raise InputError(f"no field is called {shown(unknown[0])}; there are {', '.join(FIELDS)}")
+    if all(FIELDS[name].absent for name in kind.NEEDS):
+        raise InputError(
+            "NEEDS names no field that every scene has; add one of "
+            + ", ".join(name for name, field in FIELDS.items() if not field.absent)
+        )
+    if not set(kind.LINEAR_IN) <= set(kind.NEEDS):
+        raise InputError("LINEAR_IN names fields that NEEDS does not; add them there")
+    if kind.BLEND not in get_args(Blend):
+        raise InputError(
+            f"BLEND is {shown(kind.BLEND)}; choose from {', '.join(map(repr, get_args(Blend)))}"
+        )
+    roundings = np.shape(kind.ROUNDINGS) == (2,) and all(n >= 0 for n in kind.ROUNDINGS)
+    if not roundings or not any(kind.ROUNDINGS):
+        raise InputError(
+            f"ROUNDINGS is {shown(kind.ROUNDINGS)}; give two numbers, ulp of the light and of 1, "
+            "at least one above 0"
+        )
+    shares = [name for name, about in kind.PARAMETERS.items() if about.mean_one]
+    if len(shares) > 1 or any(kind.PARAMETERS[name].shape != "rgb" for name in shares):
+        raise InputError(
+            f"parameters of mean one are {', '.join(shares)}; there may be one, of shape 'rgb'"
+        )
+    for name, about in kind.PARAMETERS.items():
+        if about.of is not None and about.of not in kind.NEEDS:
+            raise InputError(f"parameter {name} is of {shown(about.of)}, which NEEDS does not name")
+
+
+def _check_air(kind: type[Look]) -> None:
+    """Light and slopes at the defaults and at every bound; and the facts about them."""
+    for look, where in _tried(kind):
+        light, passed, slopes = _values(kind, look)
+        if not np.isfinite(light).all() or not np.isfinite(passed).all():
+            raise InputError(f"light or transmittance is not finite {where}; mend air")
+        if (passed < -LINEAR).any() or (passed > 1 + LINEAR).any():
+            raise InputError(f"transmittance leaves 0 to 1 {where}; mend air")
+        for name, slope in slopes.items():
+            if not np.isfinite(slope).all():
+                raise InputError(
+                    f"the gradient by {name} is not finite {where}; mend air (a power, root or "
+                    "quotient at 0)"
+                )
+    if kind.LINEAR_IN:
+        _check_linear(kind)
+    if kind.SEPARABLE is not None:
+        _check_separable(kind)
+
+
+def _tried(kind: type[Look]) -> list[tuple[Look, str]]:
+    """Looks to try, and what is said of each."""
+    found = [(defaults(kind), "at the defaults")]
+    for name, about in kind.PARAMETERS.items():
+        for bound in (about.lower, about.upper):
+            if np.isfinite(bound) and not about.mean_one:
+                value = np.broadcast_to(bound, np.shape(about.default))
+                found.append((defaults(kind, {name: value}), f"where {name} is {bound:g}"))
+    return found
+
+
+def _fields(kind: type[Look]) -> dict[str, Float[np.ndarray, " n"]]:
+    """Sample fields: every pair of two widths, or of a width and what is 0 or 1."""
+    rows = list(itertools.product(SAMPLES, repeat=2))
+    found = {}
+    for k, name in enumerate(kind.NEEDS):
+        values = np.array([row[k % 2] for row in rows], np.float32)
+        found[name] = values if name in WIDTHS else (np.arange(len(values)) % 2).astype(np.float32)
+    return found
+
+
+_COLOR = np.array([0.3, 0.6, 1.0], np.float32)
+
+
+def _light(look: Look, fields: dict[str, Any]) -> tuple[AnyArray, AnyArray]:
+    air = air_light(look, fields, _COLOR)
+    passed = jnp.ones(1) if air.transmittance is None else air.transmittance
+    light = air.light if air.alpha is None else jnp.concatenate([air.light, air.alpha], axis=-1)
+    return light, passed
+
+
+def _values(kind: type[Look], look: Look) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Light, transmittance, and the slopes of both by parameters and fields."""
+    fields = _fields(kind)
+    look = jax.tree.map(lambda part: jnp.asarray(part, np.float32), look)
+    light, passed = _jitted(look, fields)
+    by_look, by_fields = _slopes(look, fields)
+    slopes = {name: np.asarray(getattr(by_look, name)) for name in kind.PARAMETERS}
+    slopes |= {f"field {name}": np.asarray(part) for name, part in by_fields.items()}
+    return np.asarray(light), np.asarray(passed), slopes
+
+
+_jitted = eqx.filter_jit(_light)
+
+
+@eqx.filter_jit
+def _slopes(look: Look, fields: dict[str, Any]) -> Any:
+    def total(look: Look, fields: dict[str, Any]) -> jax.Array:
+        light, passed = _light(look, fields)
+        return light.sum() + passed.sum()
+
+    return jax.grad(total, argnums=(0, 1))(look, fields)
+
+
+def _check_linear(kind: type[Look]) -> None:
+    """Twice the fields make twice the light, and sums of fields sums of light."""
+    look, one = defaults(kind), _fields(kind)
+    other = {n: np.roll(v, 7) if n in kind.LINEAR_IN else v for n, v in one.items()}
+    both = {n: 2 * one[n] + other[n] if n in kind.LINEAR_IN else v for n, v in one.items()}
+    first, second, whole = (
+        np.asarray(_jitted(look, fields)[0], np.float64) for fields in (one, other, both)
+    )
+    if np.abs(whole - (2 * first + second)).max() > LINEAR * np.abs(whole).max():
+        raise InputError(f"light is not linear in {', '.join(kind.LINEAR_IN)}; correct LINEAR_IN")
+
+
+def _check_separable(kind: type[Look]) -> None:
+    """The light is the product and sum that SEPARABLE says."""
+    fact = kind.SEPARABLE
+    assert fact is not None
+    for name, shape in ((fact.amplitude, "number"), (fact.factors, "rgb"), (fact.weight, None)):
+        about = kind.PARAMETERS.get(name)
+        if about is None or shape not in (None, about.shape) or isinstance(about.shape, int):
+            raise InputError(f"SEPARABLE: {name} is no parameter of that shape")
+    three = {fact.amplitude, fact.factors, fact.weight}
+    if three != kind.PARAMETERS.keys() - Look.PARAMETERS.keys():
+        raise InputError("SEPARABLE: names amplitude, factors and weight, and there are others")
+    if {fact.first, fact.second} != set(kind.NEEDS) or set(kind.NEEDS) != set(kind.LINEAR_IN):
+        raise InputError("SEPARABLE: its two fields must be those of NEEDS and LINEAR_IN")
+    fields = _fields(kind)
+    factors = np.array([0.5, 1.0, 1.5])
+    look = defaults(kind, {fact.amplitude: 1.7, fact.factors: factors, fact.weight: 0.4})
+    light = np.asarray(_jitted(look, fields)[0], np.float64)
+    width = fields[fact.first] + 0.4 * fields[fact.second]
+    said = 1.7 * _COLOR * factors * width[:, None]
+    if light.shape != said.shape or np.abs(light - said).max() > LINEAR * np.abs(said).max():
+        raise InputError("SEPARABLE: the light is not that product; correct it or leave it out")

@@ -1,0 +1,112 @@
+"""A look's twin in GLSL: where its text is, its uniforms, and the switches that it asks for."""
+
+import inspect
+import re
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from model_jax import InputError, Look
+from model_jax._composite import transmits
+from model_jax._parameter import Parameter
+from model_jax.looks._check import check_look
+from model_jax.looks._registry import BUILT_IN
+
+_UNIFORM = re.compile(
+    r"\buniform\s+(?:highp\s+|mediump\s+)?(\w+)\s+(\w+)\s*(?:\[\s*(\d+)\s*\])?\s*;"
+)
+_COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
+
+AIR = "vec3 air(Fields fields, inout float alpha, inout vec3 transmittance)"
+"""The function that the text of a look defines."""
+
+
+def uniform_type(about: Parameter) -> str:
+    """How a parameter is declared in GLSL, without its name: float, vec3, or float[8]."""
+    if isinstance(about.shape, int):
+        return f"float[{about.shape}]"
+    return "float" if about.shape == "number" else "vec3"
+
+
+@cache
+def look_text(kind: type[Look]) -> str:
+    """The GLSL of a look, once its uniforms are its parameters.
+
+    It is the class's `GLSL`, else the file NAME.glsl beside its module (of built-in looks in
+    `glsl/looks`).
+
+    Raises `InputError` naming the look: no such text, a parameter without its uniform, a uniform
+    that is no parameter or of another type, no function `air`.
+    """
+    check_look(kind)
+    text = _found(kind)
+    bare = _COMMENT.sub("", text)
+    declared = {
+        name: type_ if not size else f"{type_}[{size}]"
+        for type_, name, size in _UNIFORM.findall(bare)
+    }
+    wanted = {
+        name: uniform_type(about)
+        for name, about in kind.PARAMETERS.items()
+        if name not in Look.PARAMETERS
+    }
+    where = f"look {kind.NAME}: its GLSL"
+    for name, type_ in wanted.items():
+        if name not in declared:
+            raise InputError(
+                f"{where} has no uniform for the parameter {name}; add `{_declared(type_, name)}`"
+            )
+        if declared[name] != type_:
+            raise InputError(
+                f"{where} declares {name} as {declared[name]}; write `{_declared(type_, name)}`"
+            )
+    for name in declared.keys() - wanted.keys():
+        raise InputError(f"{where} has a uniform {name}, which is no parameter of the look")
+    if not re.search(r"\bvec3\s+air\s*\(", bare):
+        raise InputError(f"{where} defines no function `{AIR}`; add it")
+    return text
+
+
+def _found(kind: type[Look]) -> str:
+    if kind.GLSL is not None:
+        return kind.GLSL
+    if BUILT_IN.get(kind.NAME) is kind:
+        return (resources.files("render_gl") / "glsl" / "looks" / f"{kind.NAME}.glsl").read_text(
+            encoding="utf-8"
+        )
+    try:
+        beside = Path(inspect.getfile(kind)).with_name(f"{kind.NAME}.glsl")
+        return beside.read_text(encoding="utf-8")
+    except (OSError, TypeError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"look {kind.NAME}: has no GLSL to draw with ({error}); put {kind.NAME}.glsl beside "
+            "its Python file, or its text into GLSL"
+        ) from None
+
+
+def _declared(type_: str, name: str) -> str:
+    base, bracket, size = type_.partition("[")
+    return f"uniform {base} {name}{bracket}{size};"
+
+
+def look_uniforms(look: Look) -> dict[str, Any]:
+    """Values of a look's uniforms."""
+    found: dict[str, Any] = {}
+    for name, about in type(look).PARAMETERS.items():
+        value = np.asarray(getattr(look, name), np.float64)
+        if isinstance(about.shape, int):
+            found[name] = value.tolist()
+        elif about.shape == "number":
+            found[name] = float(value)
+        else:
+            found[name] = tuple(np.broadcast_to(value, 3))
+    return found
+
+
+def look_defines(kind: type[Look]) -> dict[str, int]:
+    """The switches of a look: its fields, and whether it dims what lies behind."""
+    fields = {f"FIELD_{name.upper()}": 1 for name in kind.NEEDS}
+    return fields | ({"TRANSMITS": 1} if transmits(kind) else {})
