@@ -29,6 +29,11 @@ Sampling = Literal["area", "point"]
 supersampled picture; or the light in its middle, as of a render without antialiasing."""
 _SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
 
+Where = Literal["all", "ring", "planet"]
+"""Which air is looked at: in front of space and, where the layers bring a surface, of the planet;
+or of one of them only."""
+_WHERE: tuple[Where, ...] = get_args(Where)
+
 MOST_STEPS = 1_000_000
 """Most that may be asked for; each keeps a number of the descent, 8 MB in all."""
 
@@ -61,6 +66,11 @@ def check_jpeg(name: object) -> JpegHandling:
 def check_sampling(name: object) -> Sampling:
     """The name, if it is a `Sampling`; else an `InputError`."""
     return one_of("sampling", name, _SAMPLINGS)
+
+
+def check_where(name: object) -> Where:
+    """The name, if it is a `Where`; else an `InputError`."""
+    return one_of("where", name, _WHERE)
 
 
 def check_steps(name: str, steps: object) -> None:

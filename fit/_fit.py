@@ -19,7 +19,7 @@ from model_jax._kinds import need
 from model_jax._shapes import is_traced
 from model_jax.looks._check import check_look
 
-from ._choices import check_jpeg, check_loss, check_sampling, check_steps
+from ._choices import Where, check_jpeg, check_loss, check_sampling, check_steps, check_where
 from ._compile import float64
 from ._estimates import debias_jpeg, photo_results
 from ._judge import evidence_of, judge, with_warnings, without_data
@@ -55,6 +55,7 @@ def fit(  # type: ignore[overload-overlap]  # a tracer passes for an array in JA
     tied: Mapping[str, str] | None = ...,
     loss: str = ...,
     sampling: str = ...,
+    where: str = ...,
     solver: str = ...,
     max_steps: int | None = ...,
 ) -> TracedFit: ...
@@ -74,6 +75,7 @@ def fit(
     loss: str = ...,
     jpeg: str = ...,
     sampling: str = ...,
+    where: str = ...,
     solver: str = ...,
     max_steps: int | None = ...,
 ) -> FitResult: ...
@@ -92,6 +94,7 @@ def fit(
     loss: Any = "linear",
     jpeg: Any = "keep",
     sampling: Any = "area",
+    where: Any = "all",
     solver: Any = "lm",
     max_steps: Any = None,
 ) -> FitResult | TracedFit:
@@ -124,6 +127,8 @@ def fit(
             and a supersampled picture's do: pixels on edges are left out, and intervals hold what
             the bend of the light does in the others. "point" if they show the light in their
             middles, as in a render without antialiasing: every pixel of air is used.
+        where: "ring" uses air in front of space only, "planet" air in front of the planet only,
+            whose light the layers' surface tells; "all" uses both.
         solver: lm, dogleg or bfgs, of optimistix.
         max_steps: of the solver, for each of the few descents.
 
@@ -136,7 +141,7 @@ def fit(
     Raises:
         InputError: an argument of the wrong kind (a path, a scene …), traced layers, sizes that
             differ, wrong array type or shape, unknown names, contradictory bounds, a prior without
-            width, a circle of ties.
+            width, a circle of ties, ring or planet of layers without a planet mask.
     """
     _check_kinds(photo, layers, look, response, max_steps)
     bounds = pairs("bounds", "(lower, upper)", bounds)
@@ -144,7 +149,7 @@ def fit(
     tied = links(tied)
     if is_traced(photo, look, response):
         return _fit_traced(
-            photo, layers, look, free, response, bounds, priors, tied, loss, sampling, solver
+            photo, layers, look, free, response, bounds, priors, tied, loss, sampling, where, solver
         )
     with float64():
         bound_programs()
@@ -158,7 +163,7 @@ def fit(
         task = Task(
             photos, all_layers, look, parameters, loss_name, handling, sampled, solver, steps, named
         )
-        return _fit(task)
+        return _fit(task, check_where(where))
 
 
 def _fit_traced(
@@ -172,6 +177,7 @@ def _fit_traced(
     tied: Any,
     loss: str,
     sampling: str,
+    where: str,
     solver: str,
 ) -> TracedFit:
     """The same for a tracer, with errors for what cannot be traced."""
@@ -186,15 +192,15 @@ def _fit_traced(
     parameters = declare(known[0], [known[1]], free=free, bounds=bounds, tied=tied)
     make_solver(solver)
     shown = np.ones(np.shape(photo))  # any picture: which pixels may be used is the layers' affair
-    used = choose_pixels(shown, layers, check_sampling(sampling)).used
+    used = choose_pixels(shown, layers, check_sampling(sampling), check_where(where)).used
     return fit_traced(photo, layers, look, response, parameters, used, solver)
 
 
-def _fit(task: Task) -> FitResult:
+def _fit(task: Task, where: Where) -> FitResult:
     """The work, once it is known what was asked."""
     times = [perf_counter()]
     seen = list(zip(task.photos, task.layers, strict=True))
-    pixels = [choose_pixels(p, la, task.sampling) for p, la in seen]
+    pixels = [choose_pixels(p, la, task.sampling, where) for p, la in seen]
     unit = float(task.layers[0].width_unit)
     kind = type(task.look)
     columns = tuple(

@@ -25,7 +25,7 @@ from model_jax._look import defaults
 from model_jax._shapes import AnyArray, is_traced
 
 from ._verdict import Verdict
-from .photo._pixels import block_numbers
+from .photo._blocks import block_numbers
 from .solve._descend import Atlas, Pass, make_solver, run
 from .solve._layout import Layout
 from .solve._loss import Loss, weigh

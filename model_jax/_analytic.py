@@ -4,7 +4,8 @@ The oracle of the rasteriser (for a sphere without relief) and the layer source 
 OpenGL. Host part in float64 (`_view`), per-pixel part in float32 or float64 JAX (`_intersect`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +29,7 @@ PIECE = 2**16
 
 
 def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
-    """Layers of a scene whose planet is a smooth sphere; relief and albedo are not drawn.
+    """Layers of a scene whose planet is a smooth sphere; relief and textures are not drawn.
 
     Pure, and usable under `jit`, `vmap` and `grad` with respect to every number of the scene.
     Called with plain numbers it prepares the view in float64 whatever the dtype; inside a trace the
@@ -40,7 +41,9 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
 
     Returns:
         Eye depths relative to the planet's centre, [h, w] each, clamped to [near, far]; shadow
-        layers only when the scene has a sun, [n, h, w] with occluders: the planet's, then theirs.
+        layers only when the scene has a sun, [n, h, w] with occluders: the planet's, then theirs;
+        `surface` only when the planet's albedo is a colour: Lambert's light, albedo × the cosine of
+        the sun's angle to the normal, without a sun the albedo itself.
         Rays follow DESIGN "ray–sphere, ray–cone".
 
     Raises:
@@ -54,14 +57,19 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
             'call jax.config.update("jax_enable_x64", True) first'
         )
     camera, radius = scene.camera, scene.planet.radius
-    depths = trace_view(view_of(scene).astype(dtype), camera.height, camera.width)
-    front, back, planet, *shadow = depths
+    view, albedo = view_of(scene).astype(dtype), scene.planet.albedo
+    front, back, planet, *shadow = trace_view(view, camera.height, camera.width)
+    surface = None
+    if isinstance(albedo, tuple):
+        light = partial(_light, np.asarray(albedo, dtype))
+        (surface,) = _of_all_pixels(light, view, camera.height, camera.width)
     scale = namespace(front).asarray(radius, front.dtype)
     return Layers(
         front=jnp.asarray(front * scale),
         back=jnp.asarray(back * scale),
         shadow_front=jnp.asarray(shadow[0] * scale) if shadow else None,
         shadow_back=jnp.asarray(shadow[1] * scale) if shadow else None,
+        surface=None if surface is None else jnp.moveaxis(jnp.asarray(surface), 0, -1),
         planet=jnp.asarray(planet),
         color=scene.atmosphere.color,
         reference=eye_center(scene)[2],
@@ -91,15 +99,26 @@ def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
 
     NumPy arrays [h, w], shadows of several bodies [n, h, w]; traced ones of a traced view.
     """
+    return _of_all_pixels(_trace, view, height, width)
+
+
+def _of_all_pixels(
+    kernel: Callable[[View, AnyArray, AnyArray], Sequence[AnyArray]],
+    view: View,
+    height: int,
+    width: int,
+) -> tuple[AnyArray, ...]:
+    """What a kernel of column and row says of each pixel, [..., h, w]: piece by piece as NumPy
+    arrays, or traced of a traced view."""
     dtype = np.dtype(getattr(view.pixel, "dtype", np.float64))
     if is_traced(view):
-        return _trace(view, *pixel_grid(height, width, dtype))
+        return tuple(kernel(view, *pixel_grid(height, width, dtype)))
     pixels = height * width
     found: list[np.ndarray] = []
     for start in range(0, pixels, PIECE):
         # Beyond the last pixel the piece goes on through rows that do not exist.
         row, column = np.divmod(np.arange(start, start + PIECE), width)
-        parts = [np.asarray(p) for p in _trace(view, column.astype(dtype), row.astype(dtype))]
+        parts = [np.asarray(p) for p in kernel(view, column.astype(dtype), row.astype(dtype))]
         if not found:
             found = [np.empty((*part.shape[:-1], pixels), dtype) for part in parts]
         end = min(start + PIECE, pixels)
@@ -144,6 +163,41 @@ def _trace(view: View, column: AnyArray, row: AnyArray) -> tuple[AnyArray, ...]:
         return front, back, planet, *shadows[0]
     starts, ends = zip(*shadows, strict=True)
     return front, back, planet, jnp.stack(starts), jnp.stack(ends)
+
+
+@jax.jit
+def _light(
+    albedo: Float[AnyArray, "3"], view: View, column: AnyArray, row: AnyArray
+) -> tuple[AnyArray]:
+    """Light of a planet of one colour, [3, ...] of any pixels; 0 where none is seen.
+
+    What `planet.frag` makes of a texture, the sun's direction being the shadow's axis.
+    """
+    x, y = pixel_slopes(view, column, row)
+    mx, my = ray_offsets(view.aim, column, row)
+    cut, (ground, _) = ray_sphere(x, y, mx, my, view.planet)
+    seen = cut & is_ahead(x, y, view.aim)
+    for body in view.occluders:
+        met, (enter, _) = ray_sphere(x, y, *ray_offsets(body.aim, column, row), body.radius)
+        seen &= ~(met & is_ahead(x, y, body.aim) & (enter + body.depth < ground))
+    at = mx + ground * x, my + ground * y, ground
+    # Not 0, if the ground is not seen too: at least the planet's radius.
+    length = jnp.sqrt(at[0] * at[0] + at[1] * at[1] + at[2] * at[2])
+
+    def along(axis: AnyArray, start: AnyArray) -> AnyArray:
+        p = [part / length - begin for part, begin in zip(at, start, strict=True)]
+        return p[0] * axis[0] + p[1] * axis[1] + p[2] * axis[2]
+
+    cosine = jnp.ones_like(length)
+    if view.cones:
+        cosine = jnp.maximum(along(view.cones[0].axes[2], jnp.zeros(3, length.dtype)), 0)
+    for cone in view.cones[1:]:
+        first, second, toward = (along(axis, cone.center) for axis in cone.axes)
+        across = jnp.hypot(first, second)
+        dark = (toward < cone.base) & (across < cone.radius + cone.tangent * toward)
+        cosine = jnp.where(dark, 0, cosine)
+    light = jnp.where(seen, cosine, 0)
+    return (jnp.stack([part * light for part in albedo]),)
 
 
 def is_ahead(x: AnyArray, y: AnyArray, aim: Aim) -> AnyArray:

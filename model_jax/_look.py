@@ -140,6 +140,8 @@ class Look(eqx.Module):
 
     if TYPE_CHECKING:  # which parameters a look has only its class knows
 
+        def __init__(self, **values: Any) -> None: ...
+
         def __getattr__(self, name: str) -> Any: ...
 
     def __init_subclass__(cls, **more: Any) -> None:

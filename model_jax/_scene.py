@@ -6,11 +6,13 @@ differentiated with respect to them; texture names and image sizes are static. C
 the values and raises `InputError` naming the field, its value and the remedy; numbers that JAX is
 tracing cannot be checked and are taken as they are.
 
-Files are no business of this module: `relief` and `albedo` only name what a renderer loads.
+Files are no business of this module: `relief` and an `albedo` that is a path only name what a
+renderer loads.
 """
 
 from collections.abc import Callable
 from dataclasses import replace
+from os import PathLike
 
 import equinox as eqx
 import jax
@@ -63,6 +65,16 @@ def _path(name: str) -> Callable[[object], str | None]:
         return None if value is None else need_path(name, value)
 
     return text
+
+
+def _albedo(value: object) -> str | tuple[float, ...] | None:
+    """Converter of the path of a texture, or of a colour to numbers that records of scenes hold."""
+    name = "planet.albedo"
+    if value is None or isinstance(value, str | PathLike):
+        return _path(name)(value)
+    if _traced(value):
+        raise InputError(f"{name}: is traced; give numbers")
+    return _floats(name)(value)
 
 
 def _rgba(value: object) -> Scalar | AnyArray:
@@ -138,7 +150,7 @@ class Camera(eqx.Module):
 
 
 class Planet(eqx.Module):
-    """A sphere at the origin, with optional relief and surface texture."""
+    """A sphere at the origin, with optional relief and surface colour or texture."""
 
     radius: Scalar = eqx.field(converter=converter("planet.radius"))
     """Mean radius, > 0; also the radius of the shadow cone's base."""
@@ -154,8 +166,11 @@ class Planet(eqx.Module):
         static=True, converter=_floats("planet.relief_distance"), default=(0.01, 2.0)
     )
     """Camera heights, in planet radii, at which the first and the second scale are reached."""
-    albedo: str | None = eqx.field(static=True, converter=_path("planet.albedo"), default=None)
-    """Surface colour, equirectangular sRGB picture; none = black planet."""
+    albedo: str | tuple[float, float, float] | None = eqx.field(
+        static=True, converter=_albedo, default=None
+    )
+    """Surface colour: one for all, linear light in [0, 1], or an equirectangular sRGB picture; none
+    = drawn black, and what the planet looks like is not known."""
     triangles: int = eqx.field(static=True, default=196_000)
     """At least this many triangles (the paper's number)."""
 
@@ -171,6 +186,12 @@ class Planet(eqx.Module):
         if not self.relief_distance[0] < self.relief_distance[1]:
             raise InputError(
                 f"planet.relief_distance: {shown(self.relief_distance)} must grow from near to far"
+            )
+        color = self.albedo
+        if isinstance(color, tuple) and not (len(color) == 3 and all(0 <= c <= 1 for c in color)):
+            raise InputError(
+                f"planet.albedo: {shown(color)} must be three numbers, 0 to 1, or the path of a "
+                "texture"
             )
         number = self.triangles
         if not isinstance(number, int | np.integer) or not 20 <= number <= 20_000_000:

@@ -215,7 +215,7 @@ def _read_npy(path: Path) -> _Stored:
 
 
 def upload_maps(context: "moderngl.Context", scene: Scene) -> dict[str, Any]:
-    """Textures of relief and albedo, by the names of their samplers."""
+    """Textures of relief and albedo, by the names of their samplers; a colour needs none."""
     import moderngl
 
     maps = {}
@@ -226,7 +226,7 @@ def upload_maps(context: "moderngl.Context", scene: Scene) -> dict[str, Any]:
         relief = context.texture((columns, rows), 1, heights.tobytes(), dtype="f4")
         relief.repeat_y = False
         maps["relief"] = relief
-    if scene.planet.albedo is not None:
+    if isinstance(scene.planet.albedo, str):
         colors = load_albedo(scene.planet.albedo)
         rows, columns, _ = colors.shape
         check_texture_size(context, scene.planet.albedo, columns, rows)

@@ -79,7 +79,7 @@ _TABLES: dict[str, dict[str, tuple[str, ...]]] = {
         "relief_unit": (_NUMBER,),
         "relief_scale": (_NUMBER, _PAIR),
         "relief_distance": (_PAIR,),
-        "albedo": (_TEXT,),
+        "albedo": (_TEXT, _VECTOR),
         "triangles": (_WHOLE,),
     },
     "atmosphere": {
@@ -254,7 +254,8 @@ def _camera(table: dict[str, Any]) -> Camera:
 
 
 def _planet(table: dict[str, Any], beside: Callable[[str, str], str | None]) -> Planet:
-    table = dict(table) | {name: beside("planet", name) for name in ("relief", "albedo")}
+    files = [name for name in ("relief", "albedo") if isinstance(table.get(name), str)]
+    table = dict(table) | {name: beside("planet", name) for name in files}
     if "relief_scale" in table:
         scale = table["relief_scale"]
         table["relief_scale"] = tuple(scale) if isinstance(scale, list) else (scale, scale)

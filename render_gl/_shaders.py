@@ -33,6 +33,7 @@ DEFINES = frozenset(
         "SORTED",
         "STRETCH",
         "SUN",
+        "TEXTURE",
         "TRANSMITS",
     }
 )

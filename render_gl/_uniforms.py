@@ -17,39 +17,37 @@ def uniforms_of(scene: Scene, look: Look, encoding: Encoding) -> dict[str, Any]:
     near, far = float(camera.near), float(camera.far)
     basis = np.asarray(camera.basis())
     center = -basis @ np.asarray(camera.position) / radius
+    albedo = scene.planet.albedo
     focal_y = 2.0 / (camera.height * float(camera.pixel_size()))
-    return (
-        {
-            "basis": tuple(basis.T.reshape(-1)),  # GL wants columns
-            "center": tuple(center[:2]),
-            "center_depth": center[2],
-            "clip_planes": (near / radius - center[2], far / radius - center[2]),
-            "clip_factors": (far / (far - near), near / (far - near)),
-            "focal": (focal_y * camera.height / camera.width, focal_y),
-            "length_unit": radius,
-            "eye_reference": (center[2], near / radius),
-            "body_depths": _body_depths(scene, near / radius - center[2]),
-            "reversed_factor": near / (far - near),
-            "window_factor": far / (far - near),
-            # Eye depths need none.
-            "depth_constants": depth_constants(
-                near, far, "window" if encoding == "linear" else encoding
-            ),
-            "plane_depths": (near, far),
-            "width_unit": far - near,
-            "pixel_size": float(camera.pixel_size()),
-            "principal": (camera.width / 2, camera.height / 2),
-            "first_row": 0.0,
-            "color": tuple(np.asarray(scene.atmosphere.color)),
-            "relief_scale": relief_scale(scene),
-            "sun": (0.0, 0.0, 0.0) if scene.sun is None else tuple(np.asarray(scene.sun.direction)),
-            "sun_tangent": 0.0 if scene.sun is None else _tangent(scene.sun),
-            "occluders": [
-                (*np.asarray(o.center) / radius, o.radius / radius) for o in scene.occluders
-            ],
-        }
-        | look_uniforms(look)
-    )
+    return {
+        "basis": tuple(basis.T.reshape(-1)),  # GL wants columns
+        "center": tuple(center[:2]),
+        "center_depth": center[2],
+        "clip_planes": (near / radius - center[2], far / radius - center[2]),
+        "clip_factors": (far / (far - near), near / (far - near)),
+        "focal": (focal_y * camera.height / camera.width, focal_y),
+        "length_unit": radius,
+        "eye_reference": (center[2], near / radius),
+        "body_depths": _body_depths(scene, near / radius - center[2]),
+        "reversed_factor": near / (far - near),
+        "window_factor": far / (far - near),
+        # Eye depths need none.
+        "depth_constants": depth_constants(
+            near, far, "window" if encoding == "linear" else encoding
+        ),
+        "plane_depths": (near, far),
+        "width_unit": far - near,
+        "pixel_size": float(camera.pixel_size()),
+        "principal": (camera.width / 2, camera.height / 2),
+        "first_row": 0.0,
+        "color": tuple(np.asarray(scene.atmosphere.color)),
+        "planet_color": albedo if isinstance(albedo, tuple) else (0.0, 0.0, 0.0),
+        "relief_scale": relief_scale(scene),
+        "sun": (0.0, 0.0, 0.0) if scene.sun is None else tuple(np.asarray(scene.sun.direction)),
+        "sun_tangent": 0.0 if scene.sun is None else _tangent(scene.sun),
+        "occluders": [(*np.asarray(o.center) / radius, o.radius / radius) for o in scene.occluders],
+        **look_uniforms(look),
+    }
 
 
 def aim_uniforms(camera: Camera, aim: Aim, radius: float) -> dict[str, Any]:
@@ -100,6 +98,7 @@ def defines_of(scene: Scene, kind: type[Look], storage: Storage, shadows: int) -
         "SUN": scene.sun is not None,
         "OCCLUDERS": len(scene.occluders),
         "ALBEDO": scene.planet.albedo is not None,
+        "TEXTURE": isinstance(scene.planet.albedo, str),
         "RELIEF": scene.planet.relief is not None,
     }
     return {name: int(value) for name, value in wanted.items() if value} | look_defines(kind)

@@ -20,7 +20,7 @@ from model_jax._errors import InputError, printable
 from render_gl._choices import DepthFormat, Source
 from render_gl._files import check_file
 
-from .._choices import JpegHandling, LayerSource, LossName, Sampling, SolverName, check_steps
+from .._choices import JpegHandling, LayerSource, LossName, Sampling, SolverName, Where, check_steps
 from ..report._export import Format, export_text, write_export
 from ..report._fitted import read_fit
 from . import _assignments as assignments
@@ -210,6 +210,9 @@ def fit(
         Sampling,
         typer.Option(help="point: the photo is a render without antialiasing."),
     ] = "area",
+    where: Annotated[
+        Where, typer.Option(help="Air in front of space (ring), of the planet, or of both.")
+    ] = "all",
     solver: Annotated[SolverName, typer.Option(help="Of the descent.")] = "lm",
     max_steps: Annotated[int | None, typer.Option(help="Steps the solver may take.")] = None,
     as_json: JsonOption = False,
@@ -255,6 +258,7 @@ def fit(
         loss=loss,
         jpeg=jpeg,
         sampling=sampling,
+        where=where,
         solver=solver,
         max_steps=max_steps,
         command=shlex.join(["airlight", *sys.argv[1:]]),

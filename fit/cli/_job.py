@@ -39,6 +39,7 @@ from .._choices import (
     check_sampling,
     check_solver,
     check_steps,
+    check_where,
 )
 from .._fit import fit
 from .._memory import give_back, map_large_blocks
@@ -85,6 +86,7 @@ class Job:
     loss: str = "linear"
     jpeg: str = "keep"
     sampling: str = "area"
+    where: str = "all"
     solver: str = "lm"
     max_steps: int | None = None
     command: str = ""
@@ -136,6 +138,7 @@ def run_job(
         loss=job.loss,
         jpeg=job.jpeg,
         sampling=job.sampling,
+        where=job.where,
         solver=job.solver,
         max_steps=job.max_steps,
     )
@@ -191,6 +194,7 @@ def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:
     check_loss(job.loss)
     check_jpeg(job.jpeg)
     check_sampling(job.sampling)
+    check_where(job.where)
     check_solver(job.solver)
     check_steps("max-steps", job.max_steps)
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import fdtrc
 
-from ..photo._pixels import block_numbers
+from ..photo._blocks import block_numbers
 from ..solve._scaled import unit_diagonal
 from ._autocorrelation import correlation
 from ._patterns import CAUSES, Patch, pixel_average

@@ -27,7 +27,8 @@ from model_jax import Layers
 
 from .._choices import Sampling
 from .._result import Misfit
-from ..photo._pixels import Columns, block_numbers, unlit_columns
+from ..photo._blocks import block_numbers
+from ..photo._pixels import Columns, unlit_columns
 from ..solve._problem import Point
 from ._amounts import Amounts, Sums
 from ._influence import influences

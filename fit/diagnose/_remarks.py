@@ -11,7 +11,14 @@ from .._choices import CHANNELS
 from .._result import FitResult, LeftOut, PhotoResult
 from .._verdict import STRUCTURED_PX, WELL_EXPLAINED
 from ..photo._photo import Photo
-from ..photo._pixels import Columns, Pixels, as_picture, light_at, take_columns
+from ..photo._pixels import (
+    UNKNOWN_SURFACE,
+    Columns,
+    Pixels,
+    as_picture,
+    light_at,
+    take_columns,
+)
 from ..photo._widths import fields_at
 from ..solve._parameters import FitParameter, free_directions
 from ..solve._task import Task
@@ -19,6 +26,9 @@ from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
 from ._evidence import BELIEVED, CHUNK, Evidence, explained_share
 from ._patterns import CAUSES
 from ._residuals import residuals_of
+
+_NO_RING = {"no air", UNKNOWN_SURFACE, "in front of space"}
+"""Reasons of all pixels where none with air in front of space is asked for and there."""
 
 
 def pixel_remarks(pixels: Sequence[Pixels]) -> list[LeftOut]:
@@ -99,7 +109,7 @@ def why_no_data(
         which = f"photo {number + 1}: " if len(columns) > 1 else ""
         if not px.count:
             counts = ", ".join(f"{count} {reason}" for reason, count in px.excluded.items())
-            return f"{which}no pixel can be used ({counts})"
+            return f"{which}no pixel can be used ({counts}){_remedy(px)}"
         measured = np.ones_like(c.light, bool) if c.clipped is None else c.clipped == 0
         if c.clipped is not None and not measured.any():
             what = "saturated" if (c.clipped > 0).any() else "black"
@@ -115,6 +125,16 @@ def why_no_data(
     if count < need:
         return f"the number of pixels that can be used is {count}, needed are {need}"
     return None
+
+
+def _remedy(pixels: Pixels) -> str:
+    """What to do where all air lies in front of a planet of which nothing is known."""
+    if UNKNOWN_SURFACE not in pixels.excluded or not pixels.excluded.keys() <= _NO_RING:
+        return ""
+    return (
+        ": all air lies in front of a planet whose light is not known; give the planet one colour, "
+        "[planet] albedo = [0, 0, 0] for a dark one"
+    )
 
 
 def _varies(columns: Columns) -> bool:
@@ -153,18 +173,21 @@ def why_airless(
         )
         if explained or not _shows_planet(layers):
             continue
+        used = pixels[number].used | pixels[number].edges
+        planet = np.asarray(layers.planet) != 0
+        if not (used & ~planet).any():  # nothing beyond the limb, which a bare one could explain
+            continue
         index = np.concatenate([columns[number].index, beside[number].index])
         widths = []
         for field in fields_at(layers, index, unit, ("lit", "dark")).values():
             full = np.zeros(np.shape(layers.front), np.float32)
             full.reshape(-1)[index] = field
             widths.append(full)
-        used = pixels[number].used | pixels[number].edges
         if task.loss != "linear" and evidence is not None:
             used &= ~(evidence.weights()[number] <= BELIEVED)
         air = find_air(
             photo if isinstance(photo, Photo) else as_picture(photo),
-            np.asarray(layers.planet) != 0,
+            planet,
             used,
             widths,
         )

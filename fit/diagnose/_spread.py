@@ -29,7 +29,7 @@ from jaxtyping import Float
 from model_jax._shapes import AnyArray
 
 from .._compile import float64, program
-from ..photo._pixels import block_numbers
+from ..photo._blocks import block_numbers
 from ..solve._loss import weigh
 from ..solve._model import Model, tile_slopes
 from ..solve._problem import Point

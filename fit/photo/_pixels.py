@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int, Int8, UInt
 from model_jax import InputError, Layers, LayersLook, Look
 from model_jax._composite import transmits
 
-from .._choices import Sampling
+from .._choices import Sampling, Where
 from ._photo import REASONS, Photo
 from ._widths import fields_at, rounding_of_widths
 
@@ -50,6 +50,7 @@ class Columns:
     light: Float[np.ndarray, "n 3"]
     """What the photo recorded, float32 of codes; for a clipped sample the bound that it tells."""
     surface: Float[np.ndarray, "n 3"] | None
+    """Light behind the air; None: there is none, or it is black."""
     clipped: Int8[np.ndarray, "n 3"] | None
     """1: at least this bright, -1: at most, 0: measured; None: all are measured."""
     color: Float[np.ndarray, "3"]
@@ -121,6 +122,9 @@ _GREYS = np.array([[0.2126, 0.7152, 0.0722], [0.299, 0.587, 0.114], [1 / 3] * 3,
 _CODES = 2.2
 """Power of the tone curve of codes, of which they are taken as often as of light."""
 
+UNKNOWN_SURFACE = "planet without a surface layer"
+"""Why pixels in front of a planet are left out of which the layers do not tell the light."""
+
 LEAST_INSIDE = 0.25
 """Share of the air's pixels that must be left without those on edges, or these are kept."""
 
@@ -128,17 +132,21 @@ _ROUNDINGS = 4
 """Roundings up to which two depths are one."""
 
 
-def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area") -> Pixels:
+def choose_pixels(
+    photo: PhotoLike, layers: Layers, sampling: Sampling = "area", where: Where = "all"
+) -> Pixels:
     """The pixels that a fit uses.
 
-    Excluded, in this order: "no air"; "planet without a surface layer"; of a photo sampled by area
-    "planet's limb", "edge of the air" and "edge of the shadow", for layers know the light in the
-    pixel's middle; what the photo itself excludes ("masked", "not finite"); "layers not finite".
-    Layers that do not know where the planet is, and bring no surface, use all pixels with air, and
-    air that is hardly more than edges keeps these; both with a remark.
+    Excluded, in this order: "no air"; of the "ring" that is "in front of the planet", else "planet
+    without a surface layer"; of the "planet" that is "in front of space"; of a photo sampled by
+    area "planet's limb", "edge of the air" and "edge of the shadow", for layers know the light in
+    the pixel's middle; what the photo itself excludes ("masked", "not finite"); "layers not
+    finite". Layers that do not know where the planet is, and bring no surface, use all pixels with
+    air, and air that is hardly more than edges keeps these; both with a remark.
 
     Raises:
-        InputError: photo and layers differ in size; a photo of a wrong shape or type.
+        InputError: photo and layers differ in size; a photo of a wrong shape or type; ring or
+            planet asked for of layers that do not know where the planet is.
     """
     size, layers_size = size_of(photo), np.shape(layers.front)
     if size != layers_size:
@@ -147,13 +155,10 @@ def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area")
             "render the layers in the photo's size"
         )
     remarks: list[tuple[str, str]] = []
-    reasons = {"no air": ~np.asarray(layers.has_air)}
-    if layers.surface is None:
-        if layers.planet is None:
-            why = "the layers do not tell planet from space, so all pixels with air are used"
-            remarks.append(("choice of sky pixels", why))
-        else:
-            reasons["planet without a surface layer"] = np.asarray(layers.planet) != 0
+    reasons = {"no air": ~np.asarray(layers.has_air)} | _elsewhere(layers, where)
+    if layers.surface is None and layers.planet is None:
+        why = "the layers do not tell planet from space, so all pixels with air are used"
+        remarks.append(("choice of sky pixels", why))
     edges: dict[str, np.ndarray] = {}
     if sampling == "area":
         edges = _edges(layers)
@@ -175,16 +180,32 @@ def choose_pixels(photo: PhotoLike, layers: Layers, sampling: Sampling = "area")
     used = np.ones(size, dtype=bool)
     left_out = np.zeros(size, dtype=bool)
     excluded: dict[str, int] = {}
-    for reason, where in reasons.items():
-        here = used & where
+    for reason, there in reasons.items():
+        here = used & there
         if count := int(here.sum()):
             excluded[reason] = count
         if reason in edges:
             left_out |= here
         else:
-            left_out &= ~where
-        used &= ~where
+            left_out &= ~there
+        used &= ~there
     return Pixels(used, left_out, excluded, tuple(remarks))
+
+
+def _elsewhere(layers: Layers, where: Where) -> dict[str, Bool[np.ndarray, "h w"]]:
+    """Pixels with another thing behind their air than is asked for or known."""
+    if layers.planet is None:
+        if where != "all":
+            raise InputError(
+                f"where: {where!r} asks where the planet is, which the layers do not tell; give "
+                "layers with a planet mask (planet.A in a file), or 'all'"
+            )
+        return {}
+    planet = np.asarray(layers.planet) != 0
+    if where == "ring":
+        return {"in front of the planet": planet}
+    found = {} if layers.surface is not None else {UNKNOWN_SURFACE: planet}
+    return found if where == "all" else found | {"in front of space": ~planet}
 
 
 def _edges(layers: Layers) -> dict[str, Bool[np.ndarray, "h w"]]:
@@ -255,14 +276,11 @@ def take_columns(
     light = light.astype(np.result_type(light, np.float32), copy=False)
     if clipped is not None and isinstance(photo, Photo):
         light = _bounded(photo, light, clipped)
-    surface = None
-    if layers.surface is not None:
-        surface = np.asarray(layers.surface).reshape(-1, 3)[index].astype(np.float64)
     columns = Columns(
         index=index,
         fields=fields_at(layers, index, width_unit, kind.NEEDS),
         light=light,
-        surface=surface,
+        surface=_surface_at(layers, index),
         clipped=clipped,
         color=np.asarray(layers.color, np.float64)[:3],
         width_error=rounding_of_widths(layers, used, width_unit),
@@ -285,19 +303,24 @@ def unlit_columns(
     air = np.asarray(layers.has_air).reshape(-1)[index]
     with np.errstate(invalid="ignore"):
         fields = fields_at(layers, index, width_unit, tuple(like.fields))
-    surface = None
-    if layers.surface is not None:
-        surface = np.asarray(layers.surface).reshape(-1, 3)[index].astype(np.float64)
     found = replace(
         like,
         index=index,
         fields={name: np.where(air, field, 0) for name, field in fields.items()},
         light=np.zeros((len(index), 3), like.light.dtype),
-        surface=surface,
+        surface=_surface_at(layers, index),
         clipped=None,
         drawn_error=None,
     )
     return found if like.mix is None else _without_copies(found)
+
+
+def _surface_at(layers: Layers, index: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"] | None:
+    """Light behind the air of these pixels; None where there is none, which costs no time."""
+    if layers.surface is None:
+        return None
+    surface = np.asarray(layers.surface).reshape(-1, 3)[index].astype(np.float64)
+    return surface if surface.any() else None
 
 
 def _mix(
@@ -369,13 +392,3 @@ def _finite(layers: Layers) -> Bool[np.ndarray, "h w"]:
     if layers.stretch is not None:
         finite &= np.isfinite(np.asarray(layers.stretch))
     return finite
-
-
-def block_numbers(index: np.ndarray, size: tuple[int, int], side: int) -> np.ndarray:
-    """Number of the block of each pixel, counted over the blocks that hold any."""
-    across = -(-size[1] // side)
-    rows, columns = np.divmod(index, size[1])
-    number = rows // side * across + columns // side
-    holds = np.zeros((-(-size[0] // side)) * across, bool)
-    holds[number] = True
-    return np.asarray((np.cumsum(holds) - 1)[number])

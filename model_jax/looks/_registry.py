@@ -10,7 +10,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from .._errors import InputError, need_path, shown
+from .._errors import InputError, cut, need_path, shown
 from .._look import Look
 from ._check import check_look
 from ._layers import LayersLook
@@ -75,9 +75,7 @@ def _load(real: str, path: str, stamp: int) -> type[Look]:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except Exception as error:
-        raise InputError(
-            f"{path}: cannot be run ({type(error).__name__}: {error}); correct it there"
-        ) from error
+        raise InputError(f"{path}: cannot be run ({_told(error)}); correct it there") from error
     found = [
         value
         for value in vars(module).values()
@@ -91,6 +89,11 @@ def _load(real: str, path: str, stamp: int) -> type[Look]:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return found[0]
+
+
+def _told(error: Exception) -> str:
+    """An error in one line."""
+    return cut(f"{type(error).__name__}: {' '.join(str(error).split())}")
 
 
 def _points() -> dict[str, EntryPoint]:
@@ -107,7 +110,7 @@ def _installed(point: EntryPoint) -> type[Look]:
         kind = point.load()
     except Exception as error:
         raise InputError(
-            f"{where}: cannot be loaded ({type(error).__name__}: {error}); mend or uninstall it"
+            f"{where}: cannot be loaded ({_told(error)}); mend or uninstall it"
         ) from error
     if not (isinstance(kind, type) and issubclass(kind, Look)):
         raise InputError(f"{where}: {point.value} is no subclass of Look; mend or uninstall it")

@@ -1,7 +1,8 @@
 #version 330
 // Pass 3: Lambert-lit albedo, and coverage 1 in alpha. EXACT: the pixel's ray meets the ground, of
 // which the mesh only bounds the pixels. COLOR_DEPTH adds the depth; ALBEDO, RELIEF and SUN say what
-// the scene has, OCCLUDERS how many. Without a sun the albedo is shown as it is.
+// the scene has, TEXTURE that the albedo is no one colour, OCCLUDERS how many. Without a sun the
+// albedo is shown as it is.
 
 #include "sphere_map.glsl"
 #ifdef EXACT
@@ -19,6 +20,7 @@ layout(location = 1) out float depth;
 #endif
 
 #ifdef ALBEDO
+#ifdef TEXTURE
 uniform sampler2D albedo;
 
 vec3 surface_albedo(vec3 at) {
@@ -29,6 +31,13 @@ vec3 surface_albedo(vec3 at) {
     dy.x -= round(dy.x);
     return textureGrad(albedo, uv, dx, dy).rgb;
 }
+#else
+uniform vec3 planet_color;
+
+vec3 surface_albedo(vec3 at) {
+    return planet_color;
+}
+#endif
 #endif
 
 #ifdef SUN

@@ -53,6 +53,7 @@ def photo(layers: Layers) -> np.ndarray:
         ({"loss": 3}, r"loss: 3 is unknown; choose"),
         ({"jpeg": None}, r"jpeg: None is unknown; choose"),
         ({"sampling": 1}, r"sampling: 1 is unknown; choose"),
+        ({"where": 1}, r"where: 1 is unknown; choose"),
     ],
 )
 def test_slips_are_named(given: Any, told: str, photo: np.ndarray, layers: Layers) -> None:

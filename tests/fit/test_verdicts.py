@@ -12,12 +12,13 @@ from PIL import Image
 from scipy.optimize import least_squares
 
 from fit import Verdict, fit, load_photo
-from fit._verdict import VERDICTS
+from fit._verdict import VERDICTS, WELL_EXPLAINED
 from fit.solve import _polish
 from model_jax import (
     InputError,
     Layers,
     LayersLook,
+    Planet,
     analytic_layers,
     layer_widths,
 )
@@ -218,6 +219,38 @@ def test_mask_that_excludes_everything(layers: Layers, tmp_path: Path) -> None:
     assert result.verdict == "no_data"
     assert result.pixels["excluded"]["masked"] > 0
     assert result.pixels["used"] == 0
+
+
+def test_a_picture_full_of_planet_needs_its_colour() -> None:
+    """The disc spans 39° and the picture's diagonal 37°; a black planet is told apart from none."""
+    seen = scene()
+    seen = replace(seen, camera=replace(seen.camera, fov_y_deg=24))
+    black = analytic_layers(replace(seen, planet=Planet(1.0, albedo=(0, 0, 0))))
+    assert np.all(black.planet)
+    photo = picture(black, TRUTH)
+    for where in ("all", "planet"):
+        check_values(fit(photo, black, START, where=where), TRUTH, 1e-4)
+    result = fit(photo, analytic_layers(seen), START)
+    assert result.verdict == "no_data"
+    assert result.pixels["excluded"] == {"planet without a surface layer": 128 * 160}
+    assert (
+        "give the planet one colour, [planet] albedo = [0, 0, 0] for a dark one" in result.message
+    )
+    ring = fit(photo, black, START, where="ring")
+    assert ring.verdict == "no_data"
+    assert ring.pixels["excluded"] == {"in front of the planet": 128 * 160}
+    assert "albedo" not in ring.message
+
+
+def test_air_over_the_planet_alone_is_air() -> None:
+    """A planet unlike its declared colour is fitted badly, but no bare limb explains its disc."""
+    layers = analytic_layers(replace(scene(), planet=Planet(1.0, albedo=(0.3, 0.3, 0.3))))
+    photo = picture(layers, TRUTH)
+    spots = np.asarray(layers.planet) * np.random.default_rng(0).uniform(0, 1, (128, 160))
+    result = fit(photo + spots[..., None].astype(np.float32), layers, START, where="planet")
+    assert result.explained is not None
+    assert result.explained < WELL_EXPLAINED
+    assert result.verdict != "no_data", result.message
 
 
 def test_single_pixel() -> None:

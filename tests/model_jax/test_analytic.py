@@ -1,14 +1,25 @@
 """Exact layers against a search along every ray, and what they promise besides the widths."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import product
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from model_jax import InputError, Scene, analytic_layers, eye_center, layer_widths, limb_height
+from model_jax import (
+    InputError,
+    Planet,
+    Scene,
+    Sun,
+    analytic_layers,
+    eye_center,
+    layer_widths,
+    limb_height,
+)
 
 from .ray_march import March
 from .scenes import ANYWHERE, PLACES, SCENES, scene_of
@@ -155,6 +166,59 @@ def test_planet_hides_the_air_behind_it() -> None:
     assert np.asarray(layers.planet)[0, 0] == 1
     assert layers.front[0, 0] == pytest.approx(-1.1, rel=1e-6)
     assert layers.back[0, 0] == pytest.approx(-1.0, rel=1e-6)
+
+
+def test_a_planet_of_one_colour_is_lit_as_lambert_says() -> None:
+    """Straight down on a normal that the sun meets at 45°; beside the planet there is no light."""
+    albedo = (0.2, 0.5, 1.0)
+
+    def light(sun: tuple[float, float, float] | None, moon: Any = ()) -> np.ndarray:
+        scene = scene_of((0.0, -3.0, 0.0), sun=sun, size=(9, 9), fov=60.0, moons=moon)
+        colored = replace(scene, planet=Planet(scene.planet.radius, albedo=albedo))
+        layers = analytic_layers(colored)
+        planet = np.asarray(layers.planet)
+        assert planet[4, 4] == 1
+        assert planet[0, 0] == 0
+        assert layers.surface is not None
+        np.testing.assert_array_equal(np.asarray(layers.surface)[planet == 0], 0)
+        assert analytic_layers(scene).surface is None
+        return np.asarray(layers.surface)[4, 4]
+
+    # Some ten operations on float32.
+    expected = np.sqrt(0.5) * np.array(albedo)
+    np.testing.assert_allclose(light((1.0, -1.0, 0.0)), expected, rtol=10 * 2**-24)
+    np.testing.assert_array_equal(light((0.0, 1.0, 0.0)), 0)
+    np.testing.assert_array_equal(light(None), np.array(albedo, np.float32))
+    # A moon toward the sun darkens the place; one that stands a radius aside of that line does not,
+    # nor one on the other side; one before the place hides it.
+    for moon, seen in (
+        ((2.0, -3.0, 0.0), 0.0),
+        ((3.0, -3.0, 0.0), 1.0),
+        ((-2.0, 1.0, 0.0), 1.0),
+        ((0.0, -2.0, 0.0), 0.0),
+    ):
+        found = light((1.0, -1.0, 0.0), ((moon, 0.3),))
+        np.testing.assert_allclose(found, seen * expected, rtol=10 * 2**-24)
+
+
+def test_light_of_a_colour_under_jit_and_grad() -> None:
+    """Traced, the light is the same; its slope is that of the albedo × -y / |(x, y, z)|."""
+    scene = scene_of((0.0, -3.0, 0.0), sun=(1.0, -1.0, 0.0), size=(9, 9), fov=60.0)
+    scene = replace(scene, planet=Planet(scene.planet.radius, albedo=(0.2, 0.5, 1.0)))
+
+    def light(direction: Any) -> Any:
+        return jnp.asarray(analytic_layers(replace(scene, sun=Sun(direction))).surface)
+
+    toward = np.array([1.0, -1.0, 0.0])
+    # The view is prepared in float32 there: a few ulp of 3 radii, over the cosine of 0.3 at the
+    # last pixels of this coarse picture.
+    traced = jax.jit(light)(jnp.asarray(toward))
+    np.testing.assert_allclose(traced, light(toward), atol=STEPS * 3 * 2**-23 / 0.3)
+    slope = jax.grad(lambda s: light(s).sum())(jnp.asarray(toward))
+    assert np.isfinite(slope).all()
+    # By x: x y / |s|³ = -1 / √8; by y: -1 / |s| + y² / |s|³ = -1 / √8.
+    middle = jax.grad(lambda s: light(s)[4, 4, 1])(jnp.asarray(toward))
+    np.testing.assert_allclose(middle, 0.5 * np.array([-1, -1, 0]) / np.sqrt(8), atol=1e-6)
 
 
 def test_limb_height_is_the_height_of_closest_approach() -> None:

@@ -65,6 +65,11 @@ BAD: dict[str, tuple[Callable[[], object], str, str]] = {
         "planet.relief_scale",
         "(-1.0, 1.0)",
     ),
+    "albedo of two": (lambda: Planet(1.0, albedo=(0.1, 0.2)), "planet.albedo", "(0.1, 0.2)"),  # type: ignore[arg-type]
+    "albedo too bright": (lambda: Planet(1.0, albedo=(0.1, 1.5, 0)), "planet.albedo", "1.5"),
+    "albedo negative": (lambda: Planet(1.0, albedo=(0.1, -0.5, 0)), "planet.albedo", "-0.5"),
+    "albedo nan": (lambda: Planet(1.0, albedo=(np.nan, 0, 0)), "planet.albedo", "nan"),
+    "albedo of one": (lambda: Planet(1.0, albedo=0.3), "planet.albedo", "0.3"),  # type: ignore[arg-type]
     "no air": (lambda: Atmosphere(0.0), "atmosphere.height", "0"),
     "unknown path": (lambda: Atmosphere(0.1, path="chord"), "atmosphere.path", "chord"),
     "negative colour": (lambda: Atmosphere(0.1, (-1.0, 0.0, 0.0)), "atmosphere.color", "-1.0"),
@@ -155,6 +160,14 @@ def test_defaults_pass_through_the_converters() -> None:
     np.testing.assert_array_equal(Atmosphere(1.0).color, 1.0)
     assert isinstance(Layers(DEPTH, DEPTH).color, np.ndarray)
     assert isinstance(Sun((1.0, 0.0, 0.0)).angular_radius_deg, np.floating)
+
+
+def test_an_albedo_is_a_colour_or_a_path() -> None:
+    planet = Planet(1.0, albedo=(0, 0.5, 1))
+    assert planet.albedo == (0.0, 0.5, 1.0)
+    assert hash(planet.albedo) == hash((0.0, 0.5, 1.0))
+    assert jax.tree.leaves(planet) == jax.tree.leaves(Planet(1.0))  # no number to differentiate by
+    assert Planet(1.0, albedo="maps/color.png").albedo == "maps/color.png"
 
 
 def test_every_default_lies_within_its_bounds() -> None:

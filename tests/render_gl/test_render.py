@@ -1,5 +1,6 @@
 """Rendering, and layer files: what comes out has the right shape, side up and numbers."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from model_jax import (
     composite,
     layer_widths,
 )
+from render_gl._mesh import sphere_mesh
 from render_gl._uniforms import relief_scale
 from tests.render_gl.scenes import SCENES, scene
 
@@ -141,6 +143,37 @@ def test_relief_and_albedo_are_drawn(data_dir: Path) -> None:
     # 8.8 km ten times exaggerated; near the limb a slope moves the depth by more than the height.
     assert 20 < np.percentile(rise, 99) < 200
     assert np.median(rise) >= -0.5
+
+
+@pytest.mark.parametrize("source", ["raster", "mesh"])
+@pytest.mark.parametrize("name", ["sun (1, -1, 1)", "no sun", "three moons"])
+def test_a_planet_of_one_colour_is_lit_as_the_exact_one(
+    name: str, source: render_gl.Source
+) -> None:
+    albedo, planet = (0.2, 0.5, 1.0), SCENES[name].planet
+    case = eqx.tree_at(lambda s: s.planet, SCENES[name], replace(planet, albedo=albedo))
+    drawn, exact = render_gl.render(case, "linear", source), analytic_layers(case)
+    # Cosine of incidence; where it is a fifth or less the limb is near.
+    origin, rays = camera_rays(case)
+    depth = np.asarray(exact.back, np.float64) + float(exact.reference)
+    normal = (origin + depth[..., None] * rays) / 6371.0
+    cosine = -np.sum(normal * rays, axis=-1) / np.linalg.norm(rays, axis=-1)
+    seen = (np.asarray(exact.planet) == 1) & (np.asarray(drawn.planet) == 1) & (cosine > 0.2)
+    # Some 16 roundings before the root of the discriminant, cosine², move the place along the ray
+    # by as much over 2 cosines; as many after it. Both sides round.
+    tolerance = 2 * 16 * 2**-24 * (1 / (2 * cosine) + 1)
+    if source == "mesh":
+        # The facet is met where the sphere is a sagitta e higher: t before it along the ray,
+        # cosine · t - t²/2 = e.
+        sagitta = 1 - sphere_mesh(case.planet.triangles).inner_radius
+        tolerance += cosine - np.sqrt(np.maximum(cosine**2 - 2 * sagitta, 0))
+    off = np.max(np.abs(np.asarray(drawn.surface) - np.asarray(exact.surface)), axis=-1)
+    # Shadows and silhouettes of moons are edges, which may fall on either side of a pixel's middle.
+    edges = np.mean((off > tolerance)[seen])
+    assert edges <= (0.002 if case.occluders else 0), edges
+    assert seen.sum() > 1000
+    assert np.max(np.asarray(drawn.surface)) > 0.5
+    assert not np.any(np.asarray(drawn.surface)[np.asarray(drawn.planet) == 0])
 
 
 def test_window_depths_are_refused_where_they_hold_nothing() -> None:

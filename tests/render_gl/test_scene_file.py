@@ -118,7 +118,27 @@ def test_hash_follows_the_numbers_only(tmp_path: Path) -> None:
     assert scene_record(first)["planet"]["radius"] == 6371.0
 
 
+def test_an_albedo_may_be_a_colour(tmp_path: Path) -> None:
+    text = GOOD.replace("radius = 6371.0", "radius = 6371.0\nalbedo = [0, 0.5, 1.0]")
+    scene = load_scene(write(tmp_path, text)).scene
+    assert scene.planet.albedo == (0.0, 0.5, 1.0)
+    assert scene_record(scene)["planet"]["albedo"] == [0.0, 0.5, 1.0]
+    plain, black = GOOD, text.replace("0.5, 1.0", "0, 0")
+    hashes = {scene_hash(load_scene(write(tmp_path, t)).scene) for t in (text, plain, black)}
+    assert len(hashes) == 3
+
+
 MISTAKES = {
+    "albedo number": (
+        "radius = 6371.0",
+        "radius = 6371.0\nalbedo = 0.3",
+        "planet.albedo: 0.3 must be a string or a list of three numbers",
+    ),
+    "albedo bright": (
+        "radius = 6371.0",
+        "radius = 6371.0\nalbedo = [0, 1.5, 0]",
+        r"planet.albedo: \(0.0, 1.5, 0.0\) must be three numbers, 0 to 1",
+    ),
     "unknown table": ("[sun]", "[sunn]", "did you mean sun"),
     "unknown key": ("radius = 6371.0", "radius = 6371.0\nradus = 1", "did you mean radius"),
     "wrong type": ("width = 64", 'width = "64"', "camera.width: '64' must be a whole number"),

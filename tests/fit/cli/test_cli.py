@@ -146,6 +146,22 @@ def test_options_reach_the_fit(here: Path) -> None:
     assert "Belief in each pixel" in Path("out/report.html").read_text()
 
 
+def test_pixels_in_front_of_a_planet_of_one_colour_are_chosen(here: Path) -> None:
+    colored = SCENE.replace("radius = 6371.0", "radius = 6371.0\nalbedo = [0.1, 0.2, 0.3]")
+    Path("scene.toml").write_text(colored)
+    assert airlight("render", "scene.toml", "-o", "photo.exr", "--depth", "linear") == 0
+    used = {}
+    for where in ("all", "ring", "planet"):
+        words = ("scene.toml", "photo.exr", "-o", where, "--where", where, "--sampling", "point")
+        assert airlight("fit", *words) == 0
+        document = json.loads(Path(where, "fit.json").read_text())
+        # Light of float32; columns that are alike make 300 of its rounding.
+        assert document["parameters"]["brightness"]["value"] == pytest.approx(3.0, rel=1e-4)
+        used[where] = document["pixels"]["used"]
+    assert used["ring"] > 0 < used["planet"]
+    assert used["ring"] + used["planet"] == used["all"]
+
+
 def test_influence_is_the_derivative_of_the_shadow_weight(here: Path) -> None:
     """Its sum against light of which the model is made: one unit of brightness moves no weight."""
     assert airlight("render", "scene.toml", "-o", "photo.exr", "--depth", "linear") == 0

@@ -162,8 +162,8 @@ PATHS = [
 OPTIONS = {
     "render": "--out -o --source --depth --size --json",
     "fit": "--out -o --layers --near --far --encoding --constant --source --depth --tone-curve "
-    "--mask --free --start --bounds --prior --tie --loss --jpeg --sampling --solver --max-steps "
-    "--json --no-json",
+    "--mask --free --start --bounds --prior --tie --loss --jpeg --sampling --where --solver "
+    "--max-steps --json --no-json",
     "check": "--out -o --depth --source --json",
     "export": "--to --out -o",
     "version": "--json",
@@ -174,6 +174,7 @@ KNOWN = {
     "--depth": ["auto", *render_gl.DEPTH_FORMATS],
     "--encoding": ["linear", "window", "reversed", "log"],
     "--sampling": ["area", "point"],
+    "--where": ["all", "ring", "planet"],
     "--jpeg": ["keep"],
     "--to": ["glsl", "glsl-uniform", "json", "toml", "csv"],
     "--loss": ["linear"],

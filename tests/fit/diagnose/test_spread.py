@@ -20,7 +20,8 @@ from fit.diagnose._spread import (
     reach_95,
     stretch_of,
 )
-from fit.photo._pixels import Columns, block_numbers
+from fit.photo._blocks import block_numbers
+from fit.photo._pixels import Columns
 from model_jax import Layers, LayersLook
 from model_jax._tone import Linear
 from tests.fit.looks import START, TRUTH, picture

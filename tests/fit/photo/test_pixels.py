@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fit._choices import check_sampling
+from fit._choices import Sampling, check_sampling, check_where
 from fit.photo._photo import REASONS, Photo
-from fit.photo._pixels import Columns, choose_pixels, take_columns
+from fit.photo._pixels import Columns, choose_pixels, take_columns, unlit_columns
 from fit.solve._descend import exact_gram
 from fit.solve._layout import Layout
 from fit.solve._loss import Loss
@@ -82,6 +82,57 @@ def test_surface_brings_in_the_planet() -> None:
     planet = np.ones(SIZE, np.float32)
     light = np.full((*SIZE, 3), 0.5, np.float32)
     assert check_sum(light, slab(planet, np.zeros((*SIZE, 3), np.float32))) == {"no air": 5}
+
+
+@pytest.mark.parametrize("sampling", ["area", "point"])
+def test_ring_and_planet_are_the_parts_of_all(sampling: Sampling) -> None:
+    size = (12, 14)
+    planet = np.zeros(size, np.float32)
+    planet[7:] = 1
+    layers = slab(planet, np.ones((*size, 3), np.float32), size)
+    light = np.full((*size, 3), 0.5, np.float32)
+    whole = choose_pixels(light, layers, sampling)
+    ring = choose_pixels(light, layers, sampling, "ring")
+    disc = choose_pixels(light, layers, sampling, "planet")
+    assert ring.count > 0
+    assert disc.count > 0
+    np.testing.assert_array_equal(ring.used, whole.used & (planet == 0))
+    np.testing.assert_array_equal(disc.used, whole.used & (planet == 1))
+    np.testing.assert_array_equal(ring.edges | disc.edges, whole.edges)
+    assert ring.excluded["in front of the planet"] == 5 * 14
+    assert disc.excluded["in front of space"] == 6 * 14  # row 0 has no air
+    for pixels in (ring, disc):
+        assert pixels.count + sum(pixels.excluded.values()) == pixels.used.size
+
+
+def test_a_place_needs_a_planet_that_is_known() -> None:
+    light, planet = np.full((*SIZE, 3), 0.5, np.float32), np.ones(SIZE, np.float32)
+    message = r"where: 'ring' asks where the planet is, which the layers do not tell; give layers"
+    with pytest.raises(InputError, match=message):
+        choose_pixels(light, slab(), "point", "ring")
+    # Of a planet without a surface nothing is known either.
+    bare = choose_pixels(light, slab(planet), "point", "planet")
+    assert bare.excluded == {"no air": 5, "planet without a surface layer": 25}
+    assert check_where("ring") == "ring"
+    with pytest.raises(InputError, match=r"where: 'sky' is unknown; choose from \['all', 'ring'"):
+        check_where("sky")
+
+
+def test_a_black_surface_is_none() -> None:
+    """Of the pixels used: what is behind the others costs the fit nothing either."""
+    light = np.random.default_rng(0).uniform(size=(*SIZE, 3)).astype(np.float32)
+    surface, planet = np.zeros((*SIZE, 3), np.float32), np.ones(SIZE, np.float32)
+    assert columns_of(light, slab(planet, surface)).surface is None
+    surface[0] = 1  # no air
+    assert columns_of(light, slab(planet, surface)).surface is None
+    surface[3, 1, 2] = 0.25
+    seen = columns_of(light, slab(planet, surface))
+    assert seen.surface is not None
+    np.testing.assert_array_equal(seen.surface, surface.reshape(-1, 3)[seen.index])
+    every = np.arange(SIZE[0] * SIZE[1])
+    beside = unlit_columns(slab(planet, surface), every, seen, 1.0)
+    np.testing.assert_array_equal(beside.surface, surface.reshape(-1, 3))
+    assert unlit_columns(slab(planet, 0 * surface), every, seen, 1.0).surface is None
 
 
 def test_unknown_planet_is_said() -> None:
