@@ -9,7 +9,7 @@ LayerSource = Literal[Source, "analytic"]
 """Where a scene's layers come from: OpenGL's two ways, or exact intersection in JAX."""
 
 CHANNELS = ("r", "g", "b")
-"""Endings of a colour's parts, as in tint.r."""
+"""Endings of a colour's parts, as in NAME.r."""
 
 LossName = Literal["linear", "huber", "soft_l1", "cauchy"]
 LOSSES: tuple[LossName, ...] = get_args(LossName)

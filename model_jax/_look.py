@@ -3,12 +3,12 @@
     class Haze(Look):
         \"\"\"Air that saturates as it thickens.\"\"\"
 
-        brightness: Scalar = parameter("light of thick air", default=1.0, lower=0.0)
+        depth: Scalar = parameter("optical depth of one width", default=1.0, lower=0.0)
         NEEDS = ("width",)
         ROUNDINGS = (4.0, 6.0)
 
         def air(self, fields):
-            return 1 - jnp.exp(-self.brightness * fields.color * fields.width), None
+            return 1 - jnp.exp(-self.depth * fields.color * fields.width), None
 
 Scene keys, uniforms, defaults, names on the command line, bounds, the fit's vector, report rows and
 exports are computed from these (`docs/add-a-look.md`).
@@ -193,11 +193,13 @@ class Look(eqx.Module):
 
 
 def broadcast(look: L, rank: int, dtype: DTypeLike) -> L:
-    """The look with numbers and colours as arrays that multiply fields of a rank."""
-    names = [n for n, p in type(look).PARAMETERS.items() if not isinstance(p.shape, int)]
-    shape = (1,) * (rank - 1) + (-1,)
-    values = [jnp.asarray(getattr(look, name), dtype).reshape(shape) for name in names]
-    return eqx.tree_at(lambda part: [getattr(part, name) for name in names], look, values)
+    """The look with arrays of a dtype: numbers and colours multiply fields of a rank."""
+    known = type(look).PARAMETERS
+    values = []
+    for name, about in known.items():
+        shape = (-1,) if isinstance(about.shape, int) else (1,) * (rank - 1) + (-1,)
+        values.append(jnp.asarray(getattr(look, name), dtype).reshape(shape))
+    return eqx.tree_at(lambda part: [getattr(part, name) for name in known], look, values)
 
 
 def look_record(look: Look) -> dict[str, Any]:

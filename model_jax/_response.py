@@ -23,7 +23,7 @@ class Response(eqx.Module):
     """Parameters of a camera's response; a pytree, so that losses can be differentiated by it."""
 
     exposure: Scalar = eqx.field(converter=converter("response.exposure"), default=1.0)
-    """Factor on light; > 0. Only its product with brightness can be told from one photo."""
+    """Factor on light; > 0. One photo tells only its product with what the air emits."""
     gamma: Scalar = eqx.field(converter=converter("response.gamma"), default=1.0)
     """What is left of the tone curve after decoding; 0.1 to 10, 1 for none."""
     black_level: Scalar = eqx.field(converter=converter("response.black_level"), default=0.0)

@@ -226,7 +226,7 @@ class Atmosphere(eqx.Module):
 
 
 class Sun(eqx.Module):
-    """A disc of uniform brightness at infinity."""
+    """A disc of uniform radiance at infinity."""
 
     direction: Three = eqx.field(converter=_unit("sun.direction"))
     """Unit vector from the planet toward the sun."""

@@ -15,6 +15,8 @@ from model_jax._parameter import Parameter
 from model_jax.looks._check import check_look
 from model_jax.looks._registry import BUILT_IN
 
+from ._shaders import shader_source
+
 _UNIFORM = re.compile(
     r"\buniform\s+(?:highp\s+|mediump\s+)?(\w+)\s+(\w+)\s*(?:\[\s*(\d+)\s*\])?\s*;"
 )
@@ -63,11 +65,24 @@ def look_text(kind: type[Look]) -> str:
             raise InputError(
                 f"{where} declares {name} as {declared[name]}; write `{_declared(type_, name)}`"
             )
+    for name in wanted.keys() & _taken():
+        raise InputError(
+            f"look {kind.NAME}: the parameter {name} has a name that airlight's shaders use; give "
+            "it another"
+        )
     for name in declared.keys() - wanted.keys():
         raise InputError(f"{where} has a uniform {name}, which is no parameter of the look")
     if not re.search(r"\bvec3\s+air\s*\(", bare):
         raise InputError(f"{where} defines no function `{AIR}`; add it")
     return text
+
+
+@cache
+def _taken() -> frozenset[str]:
+    """Names that the shader which a look is part of has given away."""
+    texts = [shader_source(name) for name in ("combine.frag", "volume.vert")]
+    types = r"\b(?:float|u?int|bool|[iub]?vec\d|mat\d|sampler2D)\s+(\w+)"
+    return frozenset(re.findall(types, "".join(texts)))
 
 
 def _found(kind: type[Look]) -> str:

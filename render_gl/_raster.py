@@ -252,7 +252,7 @@ class Passes:
         self._bind(behind, 0)
         if "planet" in self.look.NEEDS:
             ground.use(2)
-            units["ground"] = 2
+            units["ground_pass"] = 2
         if atlas is not None:
             self._bind(atlas, 1)
             units["shadow_depths"] = 1

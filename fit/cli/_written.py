@@ -61,10 +61,11 @@ def write_maps(folder: Path, result: FitResult, number: int) -> Maps:
 
 
 def told_first(result: FitResult) -> str | None:
-    """The parameter whose influence map is shown: the shadow weight, else the first one told."""
-    names = result.correlation_names
-    shadows = [name for name in names if name.startswith("shadow")]
-    return next(iter([*shadows, *names]), None)
+    """The parameter whose influence map is shown: one that few pixels tell, for it hangs on a field
+    that not all scenes have; else the first one told."""
+    names, known = result.correlation_names, type(result.look).PARAMETERS
+    few = [n for n in names if (p := known.get(n.partition(".")[0])) and p.of is not None]
+    return next(iter([*few, *names]), None)
 
 
 def write_photo(

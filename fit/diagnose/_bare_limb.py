@@ -215,7 +215,7 @@ def _best(
     square_sum, amounts, level = solve(place)
     return LimbModel(
         square_sum=square_sum,
-        # Blur, halo, three of place, three levels; the air's three colours and its shadow weight.
+        # Blur, halo, three of place, three levels; the air's three colours, their share if unlit.
         parameters=8 + (3 * bool(widths)) + max(len(widths) - 1, 0),
         blur_px=float(np.exp(place[0])),
         shift_px=(float(place[1]), float(place[2]), float(place[3])),

@@ -343,7 +343,7 @@ def _whole_blocks(place: Int[np.ndarray, " u"], shape: tuple[int, ...]) -> Int[n
 def _counts_of(
     codes: UInt8[np.ndarray, "h w c"], blocks: Int[np.ndarray, " b"], steps: Int[np.ndarray, "8 8"]
 ) -> Float[np.ndarray, "f m"]:
-    """How often each number of steps of brightness occurs in the blocks, for each of `_LOW`.
+    """How often each number of steps of luma occurs in the blocks, for each of `_LOW`.
 
     Decoded codes are rounded, but their frequencies are off by half a code's step at most as a
     rule, and whole steps are larger.

@@ -168,7 +168,7 @@ def _primaries(
 def _not_srgb(source: str, which: str) -> str:
     return (
         f"Its red, green and blue are not sRGB's but {which}, by its {source}: the fit takes them "
-        "as they are, and the tint is in them."
+        "as they are, and what that does to colours is in the look."
     )
 
 

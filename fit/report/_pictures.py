@@ -178,7 +178,7 @@ def zoom_window(model: Float[np.ndarray, "h w 3"], used: Bool[np.ndarray, "h w"]
 
 @dataclass(frozen=True)
 class Profile:
-    """Mean brightness against height over one group of pixels, bins without pixels left out."""
+    """Mean light against height over one group of pixels, bins without pixels left out."""
 
     name: str
     height: Float[np.ndarray, " n"]

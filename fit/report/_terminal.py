@@ -119,7 +119,7 @@ def print_check(console: Console, summary: dict[str, Any], scene: str, folder: s
     console.print(table)
     division = parity["division_ulp"]
     console.print(
-        "bound: 11 roundings of ½ to 2.5 ulp in the colour arithmetic; depths "
+        "bound: roundings of widths by their slopes, and those the look states; depths "
         + (
             "need no division or are divided exactly by this driver (65,536 quotients tried)"
             if division == 0

@@ -30,7 +30,7 @@ struct Fields {
 
 uniform vec4 color;                   // the air's: linear rgb, and alpha
 #ifdef FIELD_PLANET
-uniform sampler2D ground;             // pass 3: coverage in alpha
+uniform sampler2D ground_pass;            // pass 3: coverage in alpha
 #endif
 
 uniform sampler2D planet_atmosphere;  // PlAtDepth of the paper
@@ -90,7 +90,7 @@ void main() {
     fields.dark = layer_widths(depths, stretch).y;
 #endif
 #ifdef FIELD_PLANET
-    fields.planet = texelFetch(ground, pixel, 0).a;
+    fields.planet = texelFetch(ground_pass, pixel, 0).a;
 #endif
     float alpha = color.a;
     vec3 transmittance = vec3(1.0);
