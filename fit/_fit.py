@@ -17,7 +17,7 @@ import numpy as np
 from model_jax import InputError, Layers, LayersLook, Look, Response
 from model_jax._kinds import need
 from model_jax._shapes import is_traced
-from model_jax.looks._check import check_look
+from model_jax.looks._registry import checked
 
 from ._choices import Where, check_jpeg, check_loss, check_sampling, check_steps, check_where
 from ._compile import float64
@@ -259,8 +259,7 @@ def _check_kinds(photo: Any, layers: Any, look: Any, response: Any, max_steps: A
     if is_traced(layers):
         raise InputError("fit: the layers are traced; make them outside of jit, vmap or grad")
     need("look", look, Look)
-    kind: type[Look] = type(look)
-    check_look(kind)
+    checked(type(look))
     for one in response if isinstance(response, list | tuple) else (response,):
         need("response", one, Response)
     check_steps("max_steps", max_steps)

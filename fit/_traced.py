@@ -21,7 +21,6 @@ from jaxtyping import Float, Int
 
 from model_jax import FIELDS, RESPONSE_PARAMETERS, InputError, Layers, Look, Response
 from model_jax._fields import fields_of
-from model_jax._look import defaults
 from model_jax._shapes import AnyArray, is_traced
 
 from ._verdict import Verdict
@@ -347,4 +346,4 @@ def _records(entries: jax.Array, like: Look, layout: Layout) -> tuple[Look, Resp
         return value if np.shape(old) or not np.ndim(value) else value[0]
 
     values = {n: part(v, getattr(like, n)) for n, v in layout.values(entries).items()}
-    return defaults(layout.kind, values), Response(*layout.responses(entries)[0])
+    return layout.kind(**values), Response(*layout.responses(entries)[0])

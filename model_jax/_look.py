@@ -1,9 +1,7 @@
 """What a look is: parameters, the fields it asks for, and the light it makes of them.
 
     class Haze(Look):
-        \"\"\"Air that saturates as it thickens.\"\"\"
-
-        depth: Scalar = parameter("optical depth of one width", default=1.0, lower=0.0)
+        depth: float = parameter("optical depth of one width", default=1.0, lower=0.0)
         NEEDS = ("width",)
         ROUNDINGS = (4.0, 6.0)
 
@@ -18,7 +16,6 @@ import dataclasses
 import inspect
 import math
 from abc import abstractmethod
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 import equinox as eqx
@@ -44,7 +41,8 @@ L = TypeVar("L", bound="Look")
 class _Convert:
     """A field's converter, which learns its name once its class exists."""
 
-    name = "look"
+    def __init__(self, name: str = "look") -> None:
+        self.name = name
 
     def __call__(self, value: object) -> Any:
         return converter(self.name)(value)
@@ -72,6 +70,17 @@ def parameter(
     """
     about = Parameter(meaning, unit, lower, upper, default, scale, shape, mean_one, of, source)
     return eqx.field(default=default, converter=_Convert(), metadata={_ABOUT: about})
+
+
+_BACKGROUND = Parameter(
+    "light added to every pixel",
+    "linear light",
+    -math.inf,
+    math.inf,
+    0.0,
+    scale=0.01,
+    shape="either",
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,7 +111,7 @@ class Look(eqx.Module):
 
     NAME: ClassVar[str] = ""
     """As in scene files and on command lines; of the class's name unless given."""
-    PARAMETERS: ClassVar[dict[str, Parameter]] = {}
+    PARAMETERS: ClassVar[dict[str, Parameter]] = {"background": _BACKGROUND}
     """Every parameter by its field name, in the order reports show them; made from the fields."""
     NEEDS: ClassVar[tuple[str, ...]] = ()
     """Fields that `air` asks for, names of `FIELDS`: passes and read-backs follow from them."""
@@ -120,20 +129,7 @@ class Look(eqx.Module):
     """Text of its twin; None: the file NAME.glsl beside the module."""
 
     background: Scalar | Three = eqx.field(
-        default=0.0,
-        converter=_Convert(),
-        kw_only=True,
-        metadata={
-            _ABOUT: Parameter(
-                "light added to every pixel",
-                "linear light",
-                -math.inf,
-                math.inf,
-                0.0,
-                scale=0.01,
-                shape="either",
-            )
-        },
+        default=_BACKGROUND.default, converter=_Convert("look.background"), kw_only=True
     )
     """Light added to every pixel (sky glow, black level), one number or one per channel; the
     frame's, whatever the look."""
@@ -154,7 +150,7 @@ class Look(eqx.Module):
             if isinstance(value, dataclasses.Field) and _ABOUT in value.metadata:
                 if name not in annotated:
                     raise InputError(
-                        f"look {cls.NAME}: {name} has no annotation; write {name}: Scalar = "
+                        f"look {cls.NAME}: {name} has no annotation; write {name}: float = "
                         "parameter(…)"
                     )
                 own[name] = _named(cls.NAME, name, value)
@@ -227,19 +223,7 @@ def _named(look: str, name: str, field: Any) -> Parameter:
     return about
 
 
-Look.PARAMETERS = {
-    "background": _named("look", "background", vars(Look)["__dataclass_fields__"]["background"])
-}
-# Subclasses put their own before it.
-
-
 def _form(shape: tuple[int, ...]) -> str:
     if not shape:
         return "one number"
     return "three numbers" if shape == (3,) else f"{shape[0]} numbers"
-
-
-def defaults(kind: type[L], values: dict[str, Any] | None = None) -> L:
-    """A look of a kind, at its defaults but for the given values."""
-    make: Callable[..., L] = kind
-    return make(**(values or {}))

@@ -12,8 +12,7 @@ import numpy as np
 from model_jax import InputError, Look
 from model_jax._composite import transmits
 from model_jax._parameter import Parameter
-from model_jax.looks._check import check_look
-from model_jax.looks._registry import BUILT_IN
+from model_jax.looks._registry import BUILT_IN, checked
 
 from ._shaders import shader_source
 
@@ -43,7 +42,7 @@ def look_text(kind: type[Look]) -> str:
     Raises `InputError` naming the look: no such text, a parameter without its uniform, a uniform
     that is no parameter or of another type, no function `air`.
     """
-    check_look(kind)
+    checked(kind)
     text = _found(kind)
     bare = _COMMENT.sub("", text)
     declared = {

@@ -43,7 +43,6 @@ from model_jax import (
 )
 from model_jax._errors import cut, shown
 from model_jax._kinds import need
-from model_jax._look import defaults
 from model_jax._shapes import converter
 
 from ._files import PathLike, check_file
@@ -204,7 +203,7 @@ def _look(table: dict[str, Any], asked: type[Look] | None) -> Look:
     if not isinstance(name, str):
         raise InputError(f"look.kind: {shown(name)} must be a string; name a look")
     if asked is not None and name != asked.NAME:
-        return defaults(asked)
+        return asked()
     if asked is None and name.endswith(".py"):
         # A scene is data, and data shall run no code.
         raise InputError(
@@ -213,7 +212,7 @@ def _look(table: dict[str, Any], asked: type[Look] | None) -> Look:
         )
     kind = find_look(name) if asked is None else asked
     _check_table("look", table, _look_keys(kind))
-    return defaults(kind, {key: value for key, value in table.items() if key != "kind"})
+    return kind(**{key: value for key, value in table.items() if key != "kind"})
 
 
 def _look_keys(kind: type[Look]) -> dict[str, tuple[str, ...]]:

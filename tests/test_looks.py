@@ -248,7 +248,7 @@ SAID = {
     "gradient that is not finite": "the gradient by field dark is not finite at the defaults",
     "light that is not finite": "light or transmittance is not finite at the defaults",
     "false linearity": "light is not linear in lit, dark; correct LINEAR_IN",
-    "no annotation": "kappa has no annotation; write kappa: Scalar",
+    "no annotation": "kappa has no annotation; write kappa: float",
     "no roundings": "ROUNDINGS is (0.0, 0.0); give two numbers",
     "default of another shape": "parameter kappa has the default (1.0, 2.0); give one number",
     "a name that is taken": "parameter gamma has a name that is taken",

@@ -44,9 +44,35 @@ def test_the_python_snippet_is_typed(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.parametrize("command", ["render", "fit", "export", "check", "bench", "version"])
+@pytest.mark.parametrize(
+    "command", ["render", "fit", "export", "check", "looks", "bench", "version"]
+)
 def test_every_command_is_shown(command: str) -> None:
     assert any(f"airlight {command}" in block for block in blocks("sh"))
+
+
+def looks_table() -> list[str]:
+    """The README's table, from what `airlight looks --json` says."""
+    from fit.cli._looks import describe_looks
+
+    rows = ["| look | parameter | default | unit | range | meaning |", "|---|---|---|---|---|---|"]
+    for name, look in describe_looks()["looks"].items():
+        for key, about in look["parameters"].items():
+            default = about["default"]
+            values = default if isinstance(default, list) else [default]
+            low, high = (
+                ("−∞" if about["lower"] is None else f"{about['lower']:g}"),
+                ("∞" if about["upper"] is None else f"{about['upper']:g}"),
+            )
+            cells = [name, f"`{key}`", " ".join(f"{v:g}" for v in values), about["unit"]]
+            rows.append("| " + " | ".join([*cells, f"{low} … {high}", about["meaning"]]) + " |")
+    return rows
+
+
+def test_the_table_of_looks_is_what_the_command_says() -> None:
+    start = LINES.index(looks_table()[0])
+    end = next(k for k in range(start, len(LINES)) if not LINES[k].startswith("|"))
+    assert LINES[start:end] == looks_table()
 
 
 def test_links_lead_somewhere() -> None:

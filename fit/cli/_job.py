@@ -29,7 +29,6 @@ from model_jax import (
     analytic_layers,
     find_look,
 )
-from model_jax._look import defaults
 from render_gl._files import path_text
 
 from .._choices import (
@@ -167,7 +166,7 @@ def run_job(
 
 def _asked(job: Job) -> Look:
     """The look of a fit to layers, for which no scene says anything."""
-    return LayersLook() if job.look is None else defaults(find_look(job.look))
+    return LayersLook() if job.look is None else find_look(job.look)()
 
 
 def start_values(job: Job, look: Look) -> tuple[Look, tuple[Response, ...]]:

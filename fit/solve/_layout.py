@@ -58,9 +58,7 @@ class Layout:
 
     def look(self, vector: Any) -> Look:
         """The look of a vector, colours wherever there may be one."""
-        make: Any = self.kind
-        found: Look = make(**self.values(vector))
-        return found
+        return self.kind(**self.values(vector))
 
     def responses(self, vector: Any) -> Any:
         """Rows of the photos' exposures, gammas and black levels."""

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float
 
 from model_jax import Look, Response
-from model_jax._look import defaults
 
 from ._bijections import from_shares, from_value, inside, mean_free
 from ._layout import Layout
@@ -84,8 +83,7 @@ def to_look(vector: Entries, like: Look) -> Look:
 
     kind = type(like)
     values = Layout(kind).values(vector)
-    found: Look = defaults(kind, {n: part(v, getattr(like, n)) for n, v in values.items()})
-    return found
+    return kind(**{n: part(v, getattr(like, n)) for n, v in values.items()})
 
 
 def to_responses(vector: Entries, kind: type[Look]) -> tuple[Response, ...]:

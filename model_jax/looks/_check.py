@@ -16,7 +16,7 @@ from jaxtyping import Float
 from .._composite import air_light
 from .._errors import InputError, shown
 from .._fields import FIELDS, WIDTHS
-from .._look import Blend, Look, defaults
+from .._look import Blend, Look
 from .._shapes import AnyArray
 
 SAMPLES = np.concatenate([[0.0, 1e-6, 1.0, 4.0], np.random.default_rng(8).uniform(0, 1, 12)])
@@ -93,12 +93,12 @@ def _check_air(kind: type[Look]) -> None:
 
 def _tried(kind: type[Look]) -> list[tuple[Look, str]]:
     """Looks to try, and what is said of each."""
-    found = [(defaults(kind), "at the defaults")]
+    found = [(kind(), "at the defaults")]
     for name, about in kind.PARAMETERS.items():
         for bound in (about.lower, about.upper):
             if np.isfinite(bound) and not about.mean_one:
                 value = np.broadcast_to(bound, np.shape(about.default))
-                found.append((defaults(kind, {name: value}), f"where {name} is {bound:g}"))
+                found.append((kind(**{name: value}), f"where {name} is {bound:g}"))
     return found
 
 
@@ -147,7 +147,7 @@ def _slopes(look: Look, fields: dict[str, Any]) -> Any:
 
 def _check_linear(kind: type[Look]) -> None:
     """Twice the fields make twice the light, and sums of fields sums of light."""
-    look, one = defaults(kind), _fields(kind)
+    look, one = kind(), _fields(kind)
     other = {n: np.roll(v, 7) if n in kind.LINEAR_IN else v for n, v in one.items()}
     both = {n: 2 * one[n] + other[n] if n in kind.LINEAR_IN else v for n, v in one.items()}
     first, second, whole = (
@@ -172,7 +172,7 @@ def _check_separable(kind: type[Look]) -> None:
         raise InputError("SEPARABLE: its two fields must be those of NEEDS and LINEAR_IN")
     fields = _fields(kind)
     factors = np.array([0.5, 1.0, 1.5])
-    look = defaults(kind, {fact.amplitude: 1.7, fact.factors: factors, fact.weight: 0.4})
+    look = kind(**{fact.amplitude: 1.7, fact.factors: factors, fact.weight: 0.4})
     light = np.asarray(_jitted(look, fields)[0], np.float64)
     width = fields[fact.first] + 0.4 * fields[fact.second]
     said = 1.7 * _COLOR * factors * width[:, None]
