@@ -5,6 +5,7 @@ OpenGL. Host part in float64 (`_view`), per-pixel part in float32 or float64 JAX
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -14,9 +15,11 @@ from jax.typing import DTypeLike
 from jaxtyping import Float
 
 from ._errors import InputError
+from ._fields import uses_shadow
 from ._intersect import ray_cone, ray_sphere, squared_miss_distance
 from ._kinds import need, need_float
 from ._layers import Layers
+from ._look import Look
 from ._scene import Scene
 from ._shapes import AnyArray, is_traced, namespace
 from ._view import Aim, View, eye_center, pixel_grid, pixel_slopes, ray_offsets, view_of
@@ -28,7 +31,9 @@ PIECE = 2**16
 """Pixels traced at once, whatever the picture's size: one compiled program serves all sizes."""
 
 
-def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
+def analytic_layers(
+    scene: Scene, dtype: DTypeLike = jnp.float32, look: Look | None = None
+) -> Layers:
     """Layers of a scene whose planet is a smooth sphere; relief and textures are not drawn.
 
     Pure, and usable under `jit`, `vmap` and `grad` with respect to every number of the scene.
@@ -38,6 +43,7 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
     Args:
         scene: what is looked at; lengths in any one unit.
         dtype: float32 or float64 of the layers; float64 needs `jax_enable_x64`.
+        look: what the layers are for: shadows are found only if it needs them; None: in any case.
 
     Returns:
         Eye depths relative to the planet's centre, [h, w] each, clamped to [near, far]; shadow
@@ -58,7 +64,11 @@ def analytic_layers(scene: Scene, dtype: DTypeLike = jnp.float32) -> Layers:
         )
     camera, radius = scene.camera, scene.planet.radius
     view, albedo = view_of(scene).astype(dtype), scene.planet.albedo
-    front, back, planet, *shadow = trace_view(view, camera.height, camera.width)
+    if look is not None:
+        need("look", look, Look)
+    shaded = look is None or uses_shadow(look.NEEDS)
+    seen = view if shaded else replace(view, cones=())
+    front, back, planet, *shadow = trace_view(seen, camera.height, camera.width)
     surface = None
     if isinstance(albedo, tuple):
         light = partial(_light, np.asarray(albedo, dtype))

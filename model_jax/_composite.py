@@ -67,6 +67,16 @@ def air_light(
         )
     light = jnp.broadcast_to(light, (*np.shape(first), channels))
     alpha = light[..., 3:] if channels == 4 else None
+    if transmittance is not None:
+        transmittance = jnp.asarray(transmittance, dtype)
+        form = np.shape(transmittance)
+        if len(form) not in (0, rank) or (form and form[-1] not in (1, 3)):
+            raise InputError(
+                f"look {look.NAME}: air returns a transmittance of shape {form} for fields of "
+                f"shape {(*np.shape(first), 1)}; return [..., 3], [..., 1], or None"
+            )
+        channels = form[-1] if form else 1
+        transmittance = jnp.broadcast_to(transmittance, (*np.shape(first), channels))
     return Air(light[..., :3], alpha, transmittance)
 
 

@@ -5,7 +5,7 @@ so that the two differ by rounding only.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -97,6 +97,13 @@ def fields_of(layers: Layers, needs: Sequence[str]) -> dict[str, AnyArray]:
 def uses_shadow(needs: Sequence[str]) -> bool:
     """Whether shadows have to be drawn and read for a look."""
     return any(FIELDS[name].of_shadow for name in needs)
+
+
+def only_needed(layers: Layers, look: Any) -> Layers:
+    """The layers without shadows that a look does not ask for: it knows no edges of theirs."""
+    if layers.shadow_front is None or uses_shadow(look.NEEDS):
+        return layers
+    return replace(layers, shadow_front=None, shadow_back=None)
 
 
 def air_width(layers: Layers) -> Width:

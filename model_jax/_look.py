@@ -15,6 +15,7 @@ exports are computed from these (`docs/add-a-look.md`).
 import dataclasses
 import inspect
 import math
+import re
 from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
@@ -154,7 +155,9 @@ class Look(eqx.Module):
                         "parameter(…)"
                     )
                 own[name] = _named(cls.NAME, name, value)
-        cls.PARAMETERS = own | cls.PARAMETERS
+        # The nearest class's word counts; what it inherits comes after its own.
+        inherited = {name: p for name, p in cls.PARAMETERS.items() if name not in own}
+        cls.PARAMETERS = own | inherited
 
     @abstractmethod
     def air(self, fields: Fields) -> tuple[Any, Any]:
@@ -208,13 +211,64 @@ def look_record(look: Look) -> dict[str, Any]:
     }
 
 
+_TAKEN = {
+    *RESPONSE_PARAMETERS,
+    # What a look has itself.
+    *("background", "air", "NAME", "PARAMETERS", "NEEDS", "LINEAR_IN", "ROUNDINGS", "BLEND"),
+    *("SEPARABLE", "GLSL"),
+    # Keys of scene files and exports.
+    *("kind", "look", "verdict", "warnings", "color", "width_unit"),
+    *("atmosphere_path", "atmosphere_height", "planet_radius"),
+    # Words of GLSL that are names in Python.
+    *(
+        "attribute",
+        "bool",
+        "buffer",
+        "case",
+        "cast",
+        "centroid",
+        "common",
+        "const",
+        "discard",
+        "do",
+    ),
+    *("do", "double", "enum", "extern", "external", "false", "filter", "fixed", "flat", "float"),
+    *(
+        "half",
+        "highp",
+        "inline",
+        "input",
+        "inout",
+        "int",
+        "interface",
+        "invariant",
+        "layout",
+        "long",
+    ),
+    *("long", "lowp", "main", "mediump", "namespace", "noinline", "noperspective", "out", "output"),
+    *("partition", "patch", "precise", "precision", "public", "resource", "sample", "shared"),
+    *("short", "sizeof", "smooth", "static", "struct", "subroutine", "superp", "switch"),
+    *("template", "this", "true", "typedef", "uint", "uniform", "union", "unsigned", "using"),
+    *("varying", "void", "volatile"),
+}
+"""Names that no parameter of a look may have."""
+
+
 def _named(look: str, name: str, field: Any) -> Parameter:
     """The parameter of a field, once its converter knows its name and it is possible."""
     about: Parameter = field.metadata[_ABOUT]
     field.metadata["converter"].name = f"look.{name}"
     where = f"look {look}: parameter {name}"
-    if name in (*RESPONSE_PARAMETERS, "kind"):  # `kind` is the key of scene files
+    if name in _TAKEN or name.startswith("gl_") or name.endswith("_per_length"):
         raise InputError(f"{where} has a name that is taken; give it another")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", name):
+        raise InputError(f"{where} is no identifier of a shader; use letters, digits and single _")
+    table = isinstance(about.shape, int) and not isinstance(about.shape, bool)
+    if about.shape not in ("number", "rgb", "either") and not (table and 2 <= about.size <= 4096):
+        raise InputError(
+            f"{where} has the shape {shown(about.shape)}; give 'number', 'rgb', 'either', or 2 to "
+            "4096 for a table"
+        )
     if np.shape(about.default) not in about.shapes:
         forms = " or ".join(_form(shape) for shape in about.shapes)
         raise InputError(f"{where} has the default {shown(about.default)}; give {forms}")

@@ -80,8 +80,9 @@ def look_text(kind: type[Look]) -> str:
 def _taken() -> frozenset[str]:
     """Names that the shader which a look is part of has given away."""
     texts = [shader_source(name) for name in ("combine.frag", "volume.vert")]
-    types = r"\b(?:float|u?int|bool|[iub]?vec\d|mat\d|sampler2D)\s+(\w+)"
-    return frozenset(re.findall(types, "".join(texts)))
+    text = re.sub(r"^(uniform|in|out|layout\(.*?\) out) ", "", "\n".join(texts), flags=re.MULTILINE)
+    types = r"^(?:float|u?int|bool|[iub]?vec\d|mat\d|sampler2D|struct|#define)\s+(\w+)"
+    return frozenset(re.findall(types, text, re.MULTILINE))
 
 
 def _found(kind: type[Look]) -> str:

@@ -119,14 +119,14 @@ def compare(
     division = 0.0 if STORAGE[depth_format].encoding == "linear" else division_ulp
     picture = np.asarray(combine(layers, look))
     fields = fields_of(layers, type(look).NEEDS)
-    light, passed, slopes = _slopes(look, fields, layers)
-    of_light, of_passed = _field_bounds(fields, slopes, layers, division)
+    (light, alpha, passed), slopes = _slopes(look, fields, layers)
+    of_light, of_alpha, of_passed = _field_bounds(fields, slopes, layers, division)
     own, of_one = type(look).ROUNDINGS
     tiny = np.finfo(np.float32).tiny  # drivers may flush denormals to zero
     glsl, twin = [frame.air], [picture]
     bounds = [of_light + EPS * (own * np.abs(light) + of_one) + tiny]
-    # An alpha of the look's own is a share of 1, as a transmittance is.
-    bounds.append(np.full((*light.shape[:2], 1), EPS * max(1.0, of_one)))
+    # The colour's alpha is a copy; the look's own is computed.
+    bounds.append(of_alpha + EPS * np.maximum(own * np.abs(alpha) + of_one, 1.0))
     if frame.transmittance is not None:
         glsl.append(frame.transmittance)
         twin.append(np.where(np.asarray(layers.has_air)[..., None], passed, 1).astype(np.float32))
@@ -135,34 +135,35 @@ def compare(
     return Parity(drawn, expected, bound, division)
 
 
-Slopes = dict[str, tuple[np.ndarray, np.ndarray]]
-"""By field: slopes of light and transmittance, [h, w, 3] each."""
+Parts = tuple[np.ndarray, ...]
+"""Of light [h, w, 3], alpha [h, w, 1] and transmittance [h, w, 3]."""
 
 
 def _slopes(
     look: Look, fields: dict[str, AnyArray], layers: Layers
-) -> tuple[np.ndarray, np.ndarray, Slopes]:
-    """Light and transmittance of a look [h, w, 3], and their slopes."""
+) -> tuple[Parts, dict[str, Parts]]:
+    """What a look makes of fields, and its slopes by each of them."""
     color = np.asarray(layers.color)[:3]
 
-    def looked(fields: dict[str, AnyArray]) -> tuple[AnyArray, AnyArray]:
+    def looked(fields: dict[str, AnyArray]) -> tuple[AnyArray, ...]:
         air = air_light(look, fields, color)
-        passed = jnp.ones(()) if air.transmittance is None else air.transmittance
-        return air.light, jnp.broadcast_to(passed, air.light.shape)
+        one = jnp.ones((*air.light.shape[:-1], 1), air.light.dtype)
+        passed = one if air.transmittance is None else air.transmittance
+        alpha = one if air.alpha is None else air.alpha
+        return air.light, alpha, jnp.broadcast_to(passed, air.light.shape)
 
-    slopes: Slopes = {}
+    slopes: dict[str, Parts] = {}
     for name in fields:
         ones = {n: jnp.full_like(f, float(n == name)) for n, f in fields.items()}
         _, found = jax.jvp(looked, (fields,), (ones,))
-        slopes[name] = (np.asarray(found[0], np.float64), np.asarray(found[1], np.float64))
-    light, passed = (np.asarray(part, np.float64) for part in looked(fields))
-    return light, passed, slopes
+        slopes[name] = tuple(np.asarray(part, np.float64) for part in found)
+    return tuple(np.asarray(part, np.float64) for part in looked(fields)), slopes
 
 
 def _field_bounds(
-    fields: dict[str, AnyArray], slopes: Slopes, layers: Layers, division_ulp: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """What errors of the fields do to light and transmittance, [h, w, 3] each."""
+    fields: dict[str, AnyArray], slopes: dict[str, Parts], layers: Layers, division_ulp: float
+) -> Parts:
+    """What errors of the fields do to light, alpha and transmittance."""
     front, back = np.asarray(layers.front), np.asarray(layers.back)
     begin, end = layers.shadow_front, layers.shadow_back
     several = np.ndim(begin) > 2 if begin is not None else False
@@ -178,7 +179,7 @@ def _field_bounds(
         ulps = np.spacing(np.abs(low)) + np.spacing(np.abs(high))
         edges = scale * np.sum(np.where(high != low, ulps, 0.0), axis=0)
     found = []
-    for k in (0, 1):
+    for k in range(3):
         nothing = np.zeros((*front.shape, 1))
         by = {name: slopes[name][k] if name in slopes else nothing for name in WIDTHS}
         sizes = {name: np.abs(np.asarray(fields[name])) for name in WIDTHS if name in fields}
@@ -188,7 +189,7 @@ def _field_bounds(
             + np.abs(by["width"] + by["lit"]) * ends[..., None]
             + np.abs(by["lit"] - by["dark"]) * edges[..., None]
         )
-    return found[0], found[1]
+    return tuple(found)
 
 
 def measure_division(scene: Scene, depth_format: DepthFormat) -> float:

@@ -30,7 +30,7 @@ from model_jax._view import Aim, ShadowCone
 from ._choices import Source
 from ._depth_format import Storage
 from ._frame import Frame, assign_uniforms
-from ._looks import look_text
+from ._looks import look_text, look_uniforms
 from ._maps import upload_maps
 from ._mesh import Mesh, shadow_mesh, sphere_mesh
 from ._shaders import look_program, program
@@ -78,7 +78,9 @@ class Passes:
         cones = zip(self.view.cones, shadows_in_view(scene), strict=True) if shaded else ()
         self.cones = [cone for cone, seen in cones if seen]
         """Shadows with air in view, if the look asks for them."""
-        self.uniforms = uniforms_of(scene, look, storage.encoding)
+        self.uniforms = uniforms_of(scene, storage.encoding)
+        self.look_uniforms = look_uniforms(look)
+        """For the combine shader alone: a look may name its own as those of other passes."""
         self.near, self.empty = plane_codes(scene, storage.encoding)
         self.defines = defines_of(scene, self.look, storage, len(self.cones))
         self.fine = scene.planet.relief is not None or not self.exact
@@ -248,7 +250,8 @@ class Passes:
         for texture in more:
             self.context.framebuffer([texture]).clear(1.0, 1.0, 1.0, 1.0)
         self._target([air, *depths, *more]).use()
-        units: dict[str, Any] = {"planet_atmosphere": 0, "band_rows": self.size[1]}
+        units: dict[str, Any] = self.look_uniforms | {"planet_atmosphere": 0}
+        units["band_rows"] = self.size[1]
         self._bind(behind, 0)
         if "planet" in self.look.NEEDS:
             ground.use(2)

@@ -117,8 +117,9 @@ def load_scene(path: PathLike, look: PathLike | None = None) -> SceneFile:
     """Read a scene file.
 
     Args:
-        look: name or Python file of a look (`find_look`), in place of the scene's; where the scene
-            names another kind, its [look] table is of that and is left aside.
+        look: name or Python file of a look (`find_look`), in place of the scene's. A [look] of
+            another kind is left aside; one without a `kind` is of this look if all of its keys are
+            parameters of it.
 
     Raises `InputError` in one line: file, key, value, remedy.
     """
@@ -199,7 +200,8 @@ def _build(file: Path, document: dict[str, Any], asked: type[Look] | None) -> Sc
 
 def _look(table: dict[str, Any], asked: type[Look] | None) -> Look:
     """The look of a [look] table; of another kind than the one asked for it says nothing."""
-    name = table.get("kind", LayersLook.NAME)
+    own = asked is not None and table.keys() <= asked.PARAMETERS.keys()
+    name = table.get("kind", asked.NAME if asked is not None and own else LayersLook.NAME)
     if not isinstance(name, str):
         raise InputError(f"look.kind: {shown(name)} must be a string; name a look")
     if asked is not None and name != asked.NAME:

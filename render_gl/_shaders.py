@@ -41,6 +41,7 @@ DEFINES = frozenset(
 
 NONE: Mapping[str, int] = MappingProxyType({})
 
+_LOOK = "// (the look)\n"
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$', re.MULTILINE)
 
 
@@ -57,14 +58,17 @@ def shader_source(name: str, defines: Mapping[str, int] = NONE, look: str = "") 
         raise ValueError(f"{name}: unknown define {sorted(unknown)}; known are {sorted(DEFINES)}")
     text = _read(name)
     for included in _INCLUDE.findall(text):
-        part = look if included == "look" else _read(included)
-        text = text.replace(f'#include "{included}"', part)
+        if included != "look":
+            text = text.replace(f'#include "{included}"', _read(included))
+    # A look is somebody else's text: what is wrong with it the compiler says.
+    text, look = text.replace('#include "look"', _LOOK), f"{look}\n"
     if "#include" in text:
         raise ValueError(f"{name}: an include inside an include, or a malformed one")
     asked = set(re.findall(r"#ifn?def (\w+)", text))
     if asked - DEFINES:
         raise ValueError(f"{name}: asks for {sorted(asked - DEFINES)}, which nothing defines")
-    version, body = text.split("\n", 1)
+    asked |= set(re.findall(r"#ifn?def (\w+)", look)) & DEFINES
+    version, body = text.replace(_LOOK, look).split("\n", 1)
     lines = [f"#define {define} {defines[define]}" for define in sorted(defines.keys() & asked)]
     return "\n".join([version, *lines, body])
 

@@ -8,11 +8,12 @@ from model_jax import Camera, Encoding, Look, Scene, Sun, depth_constants, eye_c
 from model_jax._view import Aim, ShadowCone
 
 from ._depth_format import Storage
-from ._looks import look_defines, look_uniforms
+from ._looks import look_defines
 
 
-def uniforms_of(scene: Scene, look: Look, encoding: Encoding) -> dict[str, Any]:
-    """Every number the shaders take, by uniform name; lengths in planet radii but for layers."""
+def uniforms_of(scene: Scene, encoding: Encoding) -> dict[str, Any]:
+    """Every number of the scene that shaders take, by uniform name; lengths in planet radii but for
+    layers."""
     camera, radius = scene.camera, float(scene.planet.radius)
     near, far = float(camera.near), float(camera.far)
     basis = np.asarray(camera.basis())
@@ -46,7 +47,6 @@ def uniforms_of(scene: Scene, look: Look, encoding: Encoding) -> dict[str, Any]:
         "sun": (0.0, 0.0, 0.0) if scene.sun is None else tuple(np.asarray(scene.sun.direction)),
         "sun_tangent": 0.0 if scene.sun is None else _tangent(scene.sun),
         "occluders": [(*np.asarray(o.center) / radius, o.radius / radius) for o in scene.occluders],
-        **look_uniforms(look),
     }
 
 

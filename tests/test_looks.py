@@ -3,8 +3,10 @@ error is refused by name; and nothing outside of a look's files spells it.
 """
 
 import json
+import pickle
 import re
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +123,7 @@ def test_a_look_that_needs_no_shadow_has_none_anywhere() -> None:
     assert not render_gl.render(case, "linear", look=Glow()).has_shadow
     layers = analytic_layers(case)
     assert layers.has_shadow
+    assert not analytic_layers(case, look=Glow()).has_shadow
     photo = noisy(layers, Glow(gain=1.7))
     used = choose_pixels(photo, layers).used
     columns = take_columns(photo, layers, used, float(layers.width_unit), Glow)
@@ -128,6 +131,7 @@ def test_a_look_that_needs_no_shadow_has_none_anywhere() -> None:
     assert [p.family for p in declare(Glow(), [Response()])][:2] == ["gain", "background"]
     result = fit(photo, layers, Glow())
     assert result.verdict == "converged", result.message
+    assert "edge of the shadow" not in result.excluded
     assert set(result.correlation_names) == {"gain", "background"}
     assert result.parameters["gain"].value == pytest.approx(1.7, abs=5e-3)
     assert check_scene(case, Glow(), "window24").passed
@@ -212,7 +216,7 @@ FAULTS: dict[str, tuple[str, str, str]] = {
         "uniform float fog;\nuniform float kappa",
     ),
     "no function": ("glsl", "vec3 air(", "vec3 fog("),
-    "name of a shader's own": ("both", "kappa", "stretch"),
+    "name of a shader's own": ("both", "kappa", "plane_depths"),
     "no GLSL": ("glsl", "exp(", "exp2pow("),
     "field that NEEDS lacks": ("py", '("lit", "dark")', '("dark", "width")'),
     "unknown field": ("py", '("lit", "dark")', '("lit", "dark", "haze")'),
@@ -223,6 +227,8 @@ FAULTS: dict[str, tuple[str, str, str]] = {
     ),
     "light that is not finite": ("py", "light = 1 -", "light = jnp.log(fields.lit) -"),
     "false linearity": ("py", "    ROUNDINGS", '    LINEAR_IN = ("lit", "dark")\n    ROUNDINGS'),
+    "blend without alpha": ("py", "    ROUNDINGS", '    BLEND = "over"\n    ROUNDINGS'),
+    "no name": ("py", "    ROUNDINGS", '    NAME = "Haze 2"\n    ROUNDINGS'),
     "no annotation": ("py", "kappa: float =", "kappa ="),
     "no roundings": ("py", "    ROUNDINGS = (14.0, 8.0)\n", ""),
     "default of another shape": ("py", "default=1.0, lower", "default=(1.0, 2.0), lower"),
@@ -233,6 +239,21 @@ FAULTS: dict[str, tuple[str, str, str]] = {
         "return light, jnp.exp(-self.kappa * (fields.lit + fields.dark))",
         "return light",
     ),
+    "a word of GLSL": ("py", "kappa", "half"),
+    "a transmittance of another shape": (
+        "py",
+        "return light, jnp.exp(",
+        "return light, jnp.ones((1, 2)) * (",
+    ),
+    "an air that fails": ("py", "return light,", "return light.fog,"),
+    "a transmittance above 1": ("py", "return light, jnp.exp(-", "return light, jnp.exp("),
+    "too many roundings": ("py", "(14.0, 8.0)", "(14.0, 1e9)"),
+    "a table of one": ("py", "default=1.0, lower", "default=(1.0,), shape=1, lower"),
+    "a mark of the preprocessor": (
+        "glsl",
+        "uniform float kappa",
+        "#include <fog>\nuniform float kappa",
+    ),
     "no Python": ("py", "class Haze", "klass Haze"),
     "no look": ("py", "class Haze(Look)", "class Haze(object)"),
 }
@@ -240,7 +261,7 @@ SAID = {
     "parameter without uniform": "no uniform for the parameter kappa; add `uniform float kappa;`",
     "uniform of another type": "declares tint as float; write `uniform vec3 tint;`",
     "uniform that is no parameter": "has a uniform fog, which is no parameter",
-    "name of a shader's own": "the parameter stretch has a name that airlight's shaders use",
+    "name of a shader's own": "the parameter plane_depths has a name that airlight's shaders use",
     "no function": "defines no function `vec3 air(",
     "no GLSL": "does not compile",
     "field that NEEDS lacks": "fields.lit: is not in the look's NEEDS; add it there",
@@ -248,12 +269,21 @@ SAID = {
     "gradient that is not finite": "the gradient by field dark is not finite at the defaults",
     "light that is not finite": "light or transmittance is not finite at the defaults",
     "false linearity": "light is not linear in lit, dark; correct LINEAR_IN",
+    "blend without alpha": "BLEND is 'over', and air returns no alpha",
+    "no name": "NAME is 'Haze 2'; give small letters",
     "no annotation": "kappa has no annotation; write kappa: float",
     "no roundings": "ROUNDINGS is (0.0, 0.0); give two numbers",
     "default of another shape": "parameter kappa has the default (1.0, 2.0); give one number",
     "a name that is taken": "parameter gamma has a name that is taken",
     "light of another shape": "air returns light of shape",
     "no pair": "air returns no pair",
+    "a word of GLSL": "parameter half has a name that is taken",
+    "a transmittance of another shape": "air returns a transmittance of shape (",
+    "an air that fails": "air cannot be run (AttributeError",
+    "a transmittance above 1": "transmittance leaves 0 to 1 at the defaults",
+    "too many roundings": "ROUNDINGS is (14.0, 1000000000.0); give two numbers",
+    "a table of one": "has the shape 1; give",
+    "a mark of the preprocessor": "does not compile",
     "no Python": "cannot be run (SyntaxError",
     "no look": "must define one look, a subclass of Look; it defines none",
 }
@@ -277,9 +307,107 @@ def test_a_look_with_an_error_is_refused_by_name(
     assert airlight("render", "scene.toml", "--look", "haze.py", "-o", "out.png") == 2
     told = capsys.readouterr().err
     assert SAID[fault] in told, told
-    assert "haze" in told
+    assert "haze" in told.lower()
     assert told.count("\n") == 1
     assert not Path("out.png").exists()
+
+
+def test_linearity_at_the_defaults_alone_is_refused() -> None:
+    class Bent(Glow):
+        """Linear where `bend` is 0."""
+
+        bend: float = parameter("second order", default=0.0)
+        LINEAR_IN = ("width",)
+
+        def air(self, fields: Fields) -> tuple[Any, Any]:
+            return self.gain * fields.color * fields.width * (1 + self.bend * fields.width), None
+
+    with pytest.raises(InputError, match="look bent: light is not linear in width"):
+        check_look(Bent)
+
+
+def test_the_nearest_class_says_what_a_parameter_is() -> None:
+    class Less(Glow):
+        """Less of it."""
+
+        gain: float = parameter("half of it at most", default=0.1, lower=0.0, upper=0.5)
+
+    assert Less.PARAMETERS["gain"].upper == 0.5
+    assert list(Less.PARAMETERS) == ["gain", "background"]
+    assert Glow.PARAMETERS["gain"].upper == np.inf
+    with pytest.raises(InputError, match="parameter background has a name that is taken"):
+
+        class Own(Glow):
+            """Another background."""
+
+            background: float = parameter("own", default=0.1)
+
+
+def test_a_parameter_named_as_another_shaders_uniform_is_its_own() -> None:
+    class Sunny(Glow):
+        """With a parameter that pass 3 has, too."""
+
+        sun: Any = parameter("its colour", default=(1.0, 0.5, 0.2), shape="rgb", lower=0.0)
+        GLSL = f"""
+            uniform float gain;
+            uniform vec3 sun;
+            {_AIR} {{ return gain * sun * fields.width; }}"""
+
+        def air(self, fields: Fields) -> tuple[Any, Any]:
+            return self.gain * self.sun * fields.width, None
+
+    case = render_gl.load_scene(REPOSITORY / "examples" / "paper.toml").scene.resized(64, 48)
+    with_it, without = draw(case, Sunny(), "linear"), draw(case, Glow(), "linear")
+    assert with_it.surface is not None
+    np.testing.assert_array_equal(with_it.surface, without.surface)
+    assert check_scene(case, Sunny(), "linear").parity.passed
+
+
+@pytest.mark.parametrize("path", ["depth", "distance"])
+def test_an_alpha_of_its_own_is_bounded_as_light_is(path: str) -> None:
+    """By errors of the fields too: lengths along rays, and the widths that two shadows leave."""
+
+    class Sheet(Look):
+        """Opaque at a width."""
+
+        gain: float = parameter("alpha of one width", default=2.0, lower=0.0)
+        NEEDS = ("width",)
+        ROUNDINGS = (3.0, 0.0)
+        BLEND = "over"
+        GLSL = f"""
+            uniform float gain;
+            {_AIR} {{
+                alpha = min(gain * fields.width, 1.0);
+                return fields.color;
+            }}"""
+
+        def air(self, fields: Fields) -> tuple[Any, Any]:
+            alpha = jnp.minimum(self.gain * fields.width, 1.0)
+            light = jnp.broadcast_to(fields.color, (*alpha.shape[:-1], 3))
+            return jnp.concatenate([light, alpha], axis=-1), None
+
+    base = scene()
+    case = replace(base, atmosphere=replace(base.atmosphere, path=path))
+    for depth in ("window24", "reversed32f", "linear"):
+        parity = check_scene(case, Sheet(gain=5.0), depth).parity
+        assert parity.passed, parity.summary()
+        drawn = parity.glsl[..., 3]
+        assert ((drawn > 0) & (drawn < 1)).any()
+        assert (parity.bound[..., 3] < 1e-3 * np.maximum(drawn, 1e-2)).all()
+
+
+def test_two_files_of_one_name_are_two_looks(tmp_path: Path) -> None:
+    kinds = []
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        path = write_look(tmp_path / folder)
+        text = (tmp_path / folder / "haze.glsl").read_text()
+        (tmp_path / folder / "haze.glsl").write_text(f"// {folder}\n{text}")
+        kinds.append(load_look(path))
+    assert [look_text(kind).splitlines()[0] for kind in kinds] == ["// a", "// b"]
+    for kind in kinds:
+        again = pickle.loads(pickle.dumps(kind()))
+        assert type(again) is kind
 
 
 def test_a_false_product_is_refused() -> None:

@@ -202,7 +202,7 @@ def make_layers(scene: Scene, source: LayerSource, depth_format: str, look: Look
     """Layers for a look, from the rasteriser or from exact intersection (which draws no relief and
     no texture)."""
     if source == "analytic":
-        return analytic_layers(scene, jnp.float32)
+        return analytic_layers(scene, jnp.float32, look)
     return render_gl.render(scene, depth_format, source, look)
 
 

@@ -4,6 +4,7 @@ What a user would meet hours later as a NaN or a wrong reduction is refused here
 """
 
 import itertools
+import re
 from functools import cache
 from typing import Any, get_args
 
@@ -13,14 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._composite import air_light
-from .._errors import InputError, shown
+from .._composite import air_light, transmits
+from .._errors import InputError, cut, shown
 from .._fields import FIELDS, WIDTHS
 from .._look import Blend, Look
 from .._shapes import AnyArray
 
 SAMPLES = np.concatenate([[0.0, 1e-6, 1.0, 4.0], np.random.default_rng(8).uniform(0, 1, 12)])
 """Widths that a look is tried on, in width units: none, next to none, a few, and any."""
+
+MOST_ROUNDINGS = 4096
+"""ulp that a look may claim: with more a fault of 0.05 % in its shader would pass."""
 
 LINEAR = 1e-4
 """Relative difference from a straight line that float32 may make of one: some hundred roundings."""
@@ -37,6 +41,9 @@ def check_look(kind: type[Look]) -> None:
         begin = f"look {kind.NAME}: "
         text = str(error)
         raise InputError(text if text.startswith(f"look {kind.NAME}") else begin + text) from None
+    except Exception as error:
+        told = cut(f"{type(error).__name__}: {' '.join(str(error).split())}")
+        raise InputError(f"look {kind.NAME}: air cannot be run ({told}); mend it") from error
 
 
 def _check_record(kind: type[Look]) -> None:
@@ -44,6 +51,10 @@ def _check_record(kind: type[Look]) -> None:
     unknown = [name for name in (*kind.NEEDS, *kind.LINEAR_IN) if name not in FIELDS]
     if unknown:
         raise InputError(f"no field is called {shown(unknown[0])}; there are {', '.join(FIELDS)}")
+    if not re.fullmatch(r"[a-z][a-z0-9_-]*", kind.NAME):
+        raise InputError(
+            f"NAME is {shown(kind.NAME)}; give small letters, digits, - and _, a letter first"
+        )
     if all(FIELDS[name].absent for name in kind.NEEDS):
         raise InputError(
             "NEEDS names no field that every scene has; add one of "
@@ -56,10 +67,10 @@ def _check_record(kind: type[Look]) -> None:
             f"BLEND is {shown(kind.BLEND)}; choose from {', '.join(map(repr, get_args(Blend)))}"
         )
     roundings = np.shape(kind.ROUNDINGS) == (2,) and all(n >= 0 for n in kind.ROUNDINGS)
-    if not roundings or not any(kind.ROUNDINGS):
+    if not roundings or not 0 < max(kind.ROUNDINGS) <= MOST_ROUNDINGS:
         raise InputError(
             f"ROUNDINGS is {shown(kind.ROUNDINGS)}; give two numbers, ulp of the light and of 1, "
-            "at least one above 0"
+            f"one of them above 0 and none above {MOST_ROUNDINGS}"
         )
     shares = [name for name, about in kind.PARAMETERS.items() if about.mean_one]
     if len(shares) > 1 or any(kind.PARAMETERS[name].shape != "rgb" for name in shares):
@@ -74,19 +85,25 @@ def _check_record(kind: type[Look]) -> None:
 def _check_air(kind: type[Look]) -> None:
     """Light and slopes at the defaults and at every bound; and the facts about them."""
     for look, where in _tried(kind):
-        light, passed, slopes = _values(kind, look)
-        if not np.isfinite(light).all() or not np.isfinite(passed).all():
+        light, alpha, passed, slopes = _values(kind, look)
+        if kind.BLEND != "add" and alpha is None:
+            raise InputError(
+                f"BLEND is {shown(kind.BLEND)}, and air returns no alpha; return light [..., 4]"
+            )
+        shares = {"transmittance": passed} | ({} if alpha is None else {"alpha": alpha})
+        if not all(np.isfinite(part).all() for part in (light, *shares.values())):
             raise InputError(f"light or transmittance is not finite {where}; mend air")
-        if (passed < -LINEAR).any() or (passed > 1 + LINEAR).any():
-            raise InputError(f"transmittance leaves 0 to 1 {where}; mend air")
+        for name, share in shares.items():
+            if (share < -LINEAR).any() or (share > 1 + LINEAR).any():
+                raise InputError(f"{name} leaves 0 to 1 {where}; mend air")
+        if kind.LINEAR_IN:
+            _check_linear(kind, look)
         for name, slope in slopes.items():
             if not np.isfinite(slope).all():
                 raise InputError(
                     f"the gradient by {name} is not finite {where}; mend air (a power, root or "
                     "quotient at 0)"
                 )
-    if kind.LINEAR_IN:
-        _check_linear(kind)
     if kind.SEPARABLE is not None:
         _check_separable(kind)
 
@@ -99,6 +116,10 @@ def _tried(kind: type[Look]) -> list[tuple[Look, str]]:
             if np.isfinite(bound) and not about.mean_one:
                 value = np.broadcast_to(bound, np.shape(about.default))
                 found.append((kind(**{name: value}), f"where {name} is {bound:g}"))
+        # What holds at the defaults alone, such as a power of 1, is no fact.
+        if not about.mean_one:
+            moved = np.clip(np.add(about.default, 0.37 * about.scale), about.lower, about.upper)
+            found.append((kind(**{name: moved}), f"where {name} is {shown(moved.tolist())}"))
     return found
 
 
@@ -115,22 +136,24 @@ def _fields(kind: type[Look]) -> dict[str, Float[np.ndarray, " n"]]:
 _COLOR = np.array([0.3, 0.6, 1.0], np.float32)
 
 
-def _light(look: Look, fields: dict[str, Any]) -> tuple[AnyArray, AnyArray]:
+def _light(look: Look, fields: dict[str, Any]) -> tuple[AnyArray, AnyArray | None, AnyArray]:
     air = air_light(look, fields, _COLOR)
     passed = jnp.ones(1) if air.transmittance is None else air.transmittance
-    light = air.light if air.alpha is None else jnp.concatenate([air.light, air.alpha], axis=-1)
-    return light, passed
+    return air.light, air.alpha, passed
 
 
-def _values(kind: type[Look], look: Look) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Light, transmittance, and the slopes of both by parameters and fields."""
+def _values(
+    kind: type[Look], look: Look
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, dict[str, np.ndarray]]:
+    """Light, alpha, transmittance, and the slopes of all by parameters and fields."""
     fields = _fields(kind)
     look = jax.tree.map(lambda part: jnp.asarray(part, np.float32), look)
-    light, passed = _jitted(look, fields)
+    light, alpha, passed = _jitted(look, fields)
     by_look, by_fields = _slopes(look, fields)
     slopes = {name: np.asarray(getattr(by_look, name)) for name in kind.PARAMETERS}
     slopes |= {f"field {name}": np.asarray(part) for name, part in by_fields.items()}
-    return np.asarray(light), np.asarray(passed), slopes
+    share = None if alpha is None else np.asarray(alpha)
+    return np.asarray(light), share, np.asarray(passed), slopes
 
 
 _jitted = eqx.filter_jit(_light)
@@ -139,15 +162,15 @@ _jitted = eqx.filter_jit(_light)
 @eqx.filter_jit
 def _slopes(look: Look, fields: dict[str, Any]) -> Any:
     def total(look: Look, fields: dict[str, Any]) -> jax.Array:
-        light, passed = _light(look, fields)
-        return light.sum() + passed.sum()
+        light, alpha, passed = _light(look, fields)
+        return light.sum() + passed.sum() + (0 if alpha is None else alpha.sum())
 
     return jax.grad(total, argnums=(0, 1))(look, fields)
 
 
-def _check_linear(kind: type[Look]) -> None:
+def _check_linear(kind: type[Look], look: Look) -> None:
     """Twice the fields make twice the light, and sums of fields sums of light."""
-    look, one = kind(), _fields(kind)
+    look, one = jax.tree.map(lambda part: jnp.asarray(part, np.float32), look), _fields(kind)
     other = {n: np.roll(v, 7) if n in kind.LINEAR_IN else v for n, v in one.items()}
     both = {n: 2 * one[n] + other[n] if n in kind.LINEAR_IN else v for n, v in one.items()}
     first, second, whole = (
@@ -163,13 +186,18 @@ def _check_separable(kind: type[Look]) -> None:
     assert fact is not None
     for name, shape in ((fact.amplitude, "number"), (fact.factors, "rgb"), (fact.weight, None)):
         about = kind.PARAMETERS.get(name)
-        if about is None or shape not in (None, about.shape) or isinstance(about.shape, int):
-            raise InputError(f"SEPARABLE: {name} is no parameter of that shape")
+        shapes = (shape,) if shape else ("rgb", "either")
+        if about is None or about.shape not in shapes:
+            raise InputError(f"SEPARABLE: {name} is no parameter of shape {' or '.join(shapes)}")
     three = {fact.amplitude, fact.factors, fact.weight}
     if three != kind.PARAMETERS.keys() - Look.PARAMETERS.keys():
         raise InputError("SEPARABLE: names amplitude, factors and weight, and there are others")
     if {fact.first, fact.second} != set(kind.NEEDS) or set(kind.NEEDS) != set(kind.LINEAR_IN):
         raise InputError("SEPARABLE: its two fields must be those of NEEDS and LINEAR_IN")
+    if FIELDS[fact.first].absent or transmits(kind):
+        raise InputError(
+            "SEPARABLE: its first field must be in every scene, and nothing behind it be dimmed"
+        )
     fields = _fields(kind)
     factors = np.array([0.5, 1.0, 1.5])
     look = kind(**{fact.amplitude: 1.7, fact.factors: factors, fact.weight: 0.4})

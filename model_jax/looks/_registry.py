@@ -2,6 +2,7 @@
 file, while they are being written.
 """
 
+import hashlib
 import importlib.util
 import os
 import re
@@ -66,12 +67,23 @@ def load_look(path: str | os.PathLike[str]) -> type[Look]:
         raise InputError(f"{text}: is no Python file; name the .py file of a look")
     if not file.is_file():
         raise InputError(f"{text}: no such file; name the Python file of a look")
-    return _load(os.path.realpath(file), text, file.stat().st_mtime_ns)
+    real = os.path.realpath(file)
+    try:
+        return _load(real, tuple(map(_stamp, (file, file.with_suffix(".glsl")))))
+    except InputError as error:
+        raise InputError(f"{text}: {error}") from None
+
+
+def _stamp(file: Path) -> int:
+    return file.stat().st_mtime_ns if file.is_file() else 0
 
 
 @cache
-def _load(real: str, path: str, stamp: int) -> type[Look]:
-    name = "airlight_look_" + re.sub(r"\W", "_", Path(real).stem)
+def _load(real: str, stamps: tuple[int, ...]) -> type[Look]:
+    """The look of a file as it was at a time; its module is named by the path, so that two files of
+    one name are two looks."""
+    mark = hashlib.sha256(real.encode(errors="surrogateescape")).hexdigest()[:12]
+    name = f"airlight_look_{re.sub(chr(92) + 'W', '_', Path(real).stem)}_{mark}"
     spec = importlib.util.spec_from_file_location(name, real)
     assert spec is not None  # what ends in .py has a loader
     assert spec.loader is not None
@@ -79,10 +91,10 @@ def _load(real: str, path: str, stamp: int) -> type[Look]:
     sys.modules[name] = module  # so that results that hold the look can be pickled
     try:
         spec.loader.exec_module(module)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    except InputError:
+        raise
     except Exception as error:
-        raise InputError(f"{path}: cannot be run ({_told(error)}); correct it there") from error
+        raise InputError(f"cannot be run ({_told(error)}); correct it there") from error
     found = [
         value
         for value in vars(module).values()
@@ -90,11 +102,8 @@ def _load(real: str, path: str, stamp: int) -> type[Look]:
     ]
     if len(found) != 1:
         names = ", ".join(kind.__name__ for kind in found) or "none"
-        raise InputError(f"{path}: must define one look, a subclass of Look; it defines {names}")
-    try:
-        check_look(found[0])
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(f"must define one look, a subclass of Look; it defines {names}")
+    check_look(found[0])
     return found[0]
 
 
