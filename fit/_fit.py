@@ -155,7 +155,7 @@ def fit(
     with float64():
         bound_programs()
         photos, all_layers = _pairs(photo, layers)
-        all_layers = tuple(only_needed(one, look) for one in all_layers)
+        all_layers = tuple(only_needed(one, look.NEEDS) for one in all_layers)
         responses = _responses(response, len(photos))
         parameters = declare(look, responses, free=free, bounds=bounds, priors=priors, tied=tied)
         loss_name, handling, sampled = check_loss(loss), check_jpeg(jpeg), check_sampling(sampling)
@@ -189,7 +189,7 @@ def _fit_traced(
             "fit: under jit, vmap or grad it takes one array as photo, loss='linear' and no "
             "priors; call it outside of them for more"
         )
-    layers = only_needed(layers, look)
+    layers = only_needed(layers, look.NEEDS)
     layers = jax.tree.map(np.asarray, layers)  # inside jit, JAX's operations on them would trace
     known = concrete(look, response)
     parameters = declare(known[0], [known[1]], free=free, bounds=bounds, tied=tied)

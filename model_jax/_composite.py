@@ -151,8 +151,18 @@ def _air(layers: Layers, look: Look) -> tuple[Air, AnyArray]:
 
 @cache
 def transmits(kind: type[Look]) -> bool:
+    """Whether looks of a kind have a transmittance."""
+    return _abstract(kind).transmittance is not None
+
+
+@cache
+def dims(kind: type[Look]) -> bool:
     """Whether looks of a kind change what lies behind the air: by transmittance, or by alpha."""
+    return transmits(kind) or (_abstract(kind).alpha is not None and kind.BLEND != "add")
+
+
+def _abstract(kind: type[Look]) -> Air:
+    """What looks of a kind make of fields, as shapes alone."""
     one = {name: jax.ShapeDtypeStruct((1,), np.float32) for name in kind.NEEDS}
     color = jax.ShapeDtypeStruct((3,), np.float32)
-    air = jax.eval_shape(lambda fields, color: air_light(kind(), fields, color), one, color)
-    return air.transmittance is not None or (air.alpha is not None and kind.BLEND != "add")
+    return jax.eval_shape(lambda fields, color: air_light(kind(), fields, color), one, color)

@@ -99,9 +99,9 @@ def uses_shadow(needs: Sequence[str]) -> bool:
     return any(FIELDS[name].of_shadow for name in needs)
 
 
-def only_needed(layers: Layers, look: Any) -> Layers:
+def only_needed(layers: Layers, needs: Sequence[str]) -> Layers:
     """The layers without shadows that a look does not ask for: it knows no edges of theirs."""
-    if layers.shadow_front is None or uses_shadow(look.NEEDS):
+    if layers.shadow_front is None or uses_shadow(needs):
         return layers
     return replace(layers, shadow_front=None, shadow_back=None)
 

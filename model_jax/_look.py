@@ -201,12 +201,17 @@ def broadcast(look: L, rank: int, dtype: DTypeLike) -> L:
     return eqx.tree_at(lambda part: [getattr(part, name) for name in known], look, values)
 
 
+def light_of(kind: type[Look]) -> str:
+    """What looks of a kind make of the air, in a line: the first of its docstring."""
+    return (kind.__doc__ or "").strip().split("\n")[0]
+
+
 def look_record(look: Look) -> dict[str, Any]:
     """Which look it is, as plain JSON data, and what an export has to know of it."""
     kind = type(look)
     return {
         "kind": kind.NAME,
-        "light": (kind.__doc__ or "").strip().split("\n")[0],
+        "light": light_of(kind),
         "shapes": {name: about.shape for name, about in kind.PARAMETERS.items()},
     }
 

@@ -122,6 +122,6 @@ def look_uniforms(look: Look) -> dict[str, Any]:
 
 
 def look_defines(kind: type[Look]) -> dict[str, int]:
-    """The switches of a look: its fields, and whether it dims what lies behind."""
+    """The switches of a look: its fields, and whether it has a transmittance."""
     fields = {f"FIELD_{name.upper()}": 1 for name in kind.NEEDS}
     return fields | ({"TRANSMITS": 1} if transmits(kind) else {})

@@ -94,7 +94,7 @@ class Passes:
 
     @property
     def transmits(self) -> bool:
-        """Whether the look dims what lies behind the air by more than alpha."""
+        """Whether the look has a transmittance, which the combine shader then writes too."""
         return "TRANSMITS" in self.defines
 
     @property

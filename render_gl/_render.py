@@ -40,9 +40,8 @@ def render(
         DriverError: no usable OpenGL. InputError: what cannot be drawn, by name.
     """
     stored = choose_format(scene, depth_format).depth_format
-    return _layers(
-        scene, draw(scene, LayersLook() if look is None else look, stored, source), stored, source
-    )
+    frame = draw(scene, LayersLook() if look is None else look, stored, source)
+    return _layers(scene, frame, stored, source)
 
 
 def render_image(

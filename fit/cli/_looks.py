@@ -3,7 +3,8 @@
 from typing import Any
 
 from model_jax import FIELDS, Look, find_look, looks
-from model_jax._composite import transmits
+from model_jax._composite import dims
+from model_jax._look import light_of
 from render_gl._looks import look_text
 
 from .._numbers import number
@@ -26,10 +27,10 @@ def describe_looks(look: str | None = None) -> dict[str, Any]:
 def _look(kind: type[Look]) -> dict[str, Any]:
     look_text(kind)  # without a twin it could not be drawn
     return {
-        "light": (kind.__doc__ or "").strip().split("\n")[0],
+        "light": light_of(kind),
         "needs": list(kind.NEEDS),
         "linear_in": list(kind.LINEAR_IN),
-        "dims_what_lies_behind": transmits(kind),
+        "dims_what_lies_behind": dims(kind),
         "parameters": {
             name: {
                 "meaning": about.meaning,

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, UInt
 
 from model_jax import InputError, Layers, LayersLook, Look
-from model_jax._composite import transmits
+from model_jax._composite import dims
 
 from .._choices import Sampling, Where
 from ._photo import REASONS, Photo
@@ -288,7 +288,7 @@ def take_columns(
         if layers.width_error is None
         else np.asarray(layers.width_error).reshape(-1)[index] / width_unit,
         mix=_mix(light, clipped),
-        dims=transmits(kind),
+        dims=dims(kind),
     )
     return columns if columns.mix is None else _without_copies(columns)
 

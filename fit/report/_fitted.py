@@ -161,7 +161,7 @@ def _look(entry: Any) -> tuple[str, str, dict[str, Shape]]:
         # They become identifiers of shaders.
         if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII) or name.startswith("gl_"):
             raise InputError(f"look: {shown(name)} is no name of a parameter; {again}")
-        table = isinstance(shape, int) and not isinstance(shape, bool) and 1 <= shape <= 4096
+        table = isinstance(shape, int) and not isinstance(shape, bool) and 2 <= shape <= 4096
         if shape not in ("number", "rgb", "either") and not table:
             raise InputError(f"look: {name} has the shape {shown(shape)}, which is none; {again}")
     kind = entry.get("kind")

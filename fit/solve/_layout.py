@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from model_jax import RESPONSE_PARAMETERS, Look, Parameter
-from model_jax._composite import transmits
+from model_jax._composite import dims
 
 RESPONSE_ENTRIES = len(RESPONSE_PARAMETERS)
 """Numbers of each photo's response in the vector: exposure, gamma, black level."""
@@ -42,12 +42,12 @@ class Layout:
     @cached_property
     def is_linear(self) -> bool:
         """The light is a sum of the fields, each times something."""
-        return set(self.kind.NEEDS) == set(self.kind.LINEAR_IN) and not self.transmits
+        return set(self.kind.NEEDS) == set(self.kind.LINEAR_IN) and not self.dims
 
-    @cached_property
-    def transmits(self) -> bool:
+    @property
+    def dims(self) -> bool:
         """What lies behind the air is dimmed by it."""
-        return transmits(self.kind)
+        return dims(self.kind)
 
     def values(self, vector: Any) -> dict[str, Any]:
         """The look's parameters in a vector, NumPy's or JAX's: numbers, colours and tables."""

@@ -44,7 +44,7 @@ def predict(entries: Float[AnyArray, " e"], tile: Tile, model: Model) -> Float[j
     one = jnp.ones_like(tile.weight) if tile.one is None else tile.one
     air = _air(look, tile, model)
     background = jnp.broadcast_to(look.background, (3,))[:, None] * one[None, :]
-    dims = model.layout.transmits  # then the surface is as it is, else what its channels show of it
+    dims = model.layout.dims  # then the surface is as it is, else what its channels show of it
     light = compose(air, tile.surface if dims else None, background, look.BLEND)
     if tile.mix is not None:
         light = tile.mix @ light

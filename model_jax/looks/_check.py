@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._composite import air_light, transmits
+from .._composite import air_light, dims
 from .._errors import InputError, cut, shown
 from .._fields import FIELDS, WIDTHS
 from .._look import Blend, Look
@@ -25,6 +25,9 @@ SAMPLES = np.concatenate([[0.0, 1e-6, 1.0, 4.0], np.random.default_rng(8).unifor
 
 MOST_ROUNDINGS = 4096
 """ulp that a look may claim: with more a fault of 0.05 % in its shader would pass."""
+
+_AWAY = 0.37
+"""Typical sizes by which parameters are moved off their defaults; in no formula by chance."""
 
 LINEAR = 1e-4
 """Relative difference from a straight line that float32 may make of one: some hundred roundings."""
@@ -118,7 +121,7 @@ def _tried(kind: type[Look]) -> list[tuple[Look, str]]:
                 found.append((kind(**{name: value}), f"where {name} is {bound:g}"))
         # What holds at the defaults alone, such as a power of 1, is no fact.
         if not about.mean_one:
-            moved = np.clip(np.add(about.default, 0.37 * about.scale), about.lower, about.upper)
+            moved = np.clip(np.add(about.default, _AWAY * about.scale), about.lower, about.upper)
             found.append((kind(**{name: moved}), f"where {name} is {shown(moved.tolist())}"))
     return found
 
@@ -134,6 +137,7 @@ def _fields(kind: type[Look]) -> dict[str, Float[np.ndarray, " n"]]:
 
 
 _COLOR = np.array([0.3, 0.6, 1.0], np.float32)
+"""Of the air: channels apart, so that none passes for another."""
 
 
 def _light(look: Look, fields: dict[str, Any]) -> tuple[AnyArray, AnyArray | None, AnyArray]:
@@ -194,7 +198,7 @@ def _check_separable(kind: type[Look]) -> None:
         raise InputError("SEPARABLE: names amplitude, factors and weight, and there are others")
     if {fact.first, fact.second} != set(kind.NEEDS) or set(kind.NEEDS) != set(kind.LINEAR_IN):
         raise InputError("SEPARABLE: its two fields must be those of NEEDS and LINEAR_IN")
-    if FIELDS[fact.first].absent or transmits(kind):
+    if FIELDS[fact.first].absent or dims(kind):
         raise InputError(
             "SEPARABLE: its first field must be in every scene, and nothing behind it be dimmed"
         )

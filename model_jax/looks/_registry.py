@@ -83,7 +83,8 @@ def _load(real: str, stamps: tuple[int, ...]) -> type[Look]:
     """The look of a file as it was at a time; its module is named by the path, so that two files of
     one name are two looks."""
     mark = hashlib.sha256(real.encode(errors="surrogateescape")).hexdigest()[:12]
-    name = f"airlight_look_{re.sub(chr(92) + 'W', '_', Path(real).stem)}_{mark}"
+    stem = re.sub(r"\W", "_", Path(real).stem)
+    name = f"airlight_look_{stem}_{mark}"
     spec = importlib.util.spec_from_file_location(name, real)
     assert spec is not None  # what ends in .py has a loader
     assert spec.loader is not None

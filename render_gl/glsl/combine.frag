@@ -1,7 +1,7 @@
 #version 330
 // Pass 5: reads the depths of its pixel, hands on its own and the one behind, and asks the look for
 // the light of what lies between them. EXACT: its own is where the pixel's ray enters the shell; else
-// the mesh's. FIELD_...: what the look asks for; TRANSMITS: it dims what lies behind.
+// the mesh's. FIELD_...: what the look asks for; TRANSMITS: it has a transmittance.
 
 #include "rays.glsl"
 #include "fields.glsl"
