@@ -14,9 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._errors import InputError
+from ._intersect import squared_miss_distance
 from ._kinds import need
 from ._layers import Layers
-from ._shapes import AnyArray, Depth, Shadows, Width
+from ._safe import safe_sqrt
+from ._shapes import AnyArray, Depth, Shadows, Width, namespace
+from ._view import pixel_grid, pixel_slopes, ray_offsets
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,8 @@ class Field:
     """Whether shadows are drawn for it."""
 
 
+_NO_SHADOW = "the layers hold no shadow: no sun is given, or no air in view is in shadow"
+
 FIELDS: dict[str, Field] = {
     "width": Field("width of the air on the ray", "width_unit"),
     "lit": Field(
@@ -41,17 +46,39 @@ FIELDS: dict[str, Field] = {
     "dark": Field(
         "width of shadowed air on the ray",
         "width_unit",
-        absent="the layers hold no shadow: no sun is given, or no air in view is in shadow",
+        absent=_NO_SHADOW,
         unseen="no pixel used is in shadow",
         of_shadow=True,
     ),
     "planet": Field("1 where the planet or an occluder ends the ray, 0 where space does", "1"),
+    "begin": Field(
+        "where the air begins on the ray, from its point nearest to the planet", "length"
+    ),
+    "end": Field("where the air ends on the ray, likewise", "length"),
+    "dark_begin": Field(
+        "where the shadow begins in the air on the ray, likewise",
+        "length",
+        absent=_NO_SHADOW,
+        of_shadow=True,
+    ),
+    "dark_end": Field(
+        "where the shadow ends in the air on the ray, likewise",
+        "length",
+        absent=_NO_SHADOW,
+        of_shadow=True,
+    ),
+    "altitude": Field("height of the ray's nearest point above the planet's radius", "length"),
+    "impact": Field("distance of that point from the planet's centre", "length"),
+    "per_length": Field("width of a unit of length along the ray", "width_unit/length"),
 }
 """Every field a look may ask for. All are `[..., 1]`; the air's `color`, `[..., 3]`, is always
 there."""
 
 WIDTHS = ("width", "lit", "dark")
 """Those that are lengths of air."""
+
+PLACES = ("begin", "end", "dark_begin", "dark_end", "altitude", "impact", "per_length")
+"""Those that tell where on the ray and how high the air is."""
 
 
 class Fields(eqx.Module):
@@ -71,8 +98,14 @@ class Fields(eqx.Module):
         raise AttributeError(f"fields have no {name!r}; there are {known}")
 
 
-def fields_of(layers: Layers, needs: Sequence[str]) -> dict[str, AnyArray]:
+def fields_of(
+    layers: Layers, needs: Sequence[str], at: tuple[AnyArray, AnyArray] | None = None
+) -> dict[str, AnyArray]:
     """The fields that a look needs, [h, w] each; without those that the layers have none of.
+
+    Args:
+        at: column and row index of the pixels in the picture whose rays the layers know, if these
+            are not all of it.
 
     Raises `InputError` naming a field that these layers cannot give.
     """
@@ -91,7 +124,63 @@ def fields_of(layers: Layers, needs: Sequence[str]) -> dict[str, AnyArray]:
                 "planet); give layers with a planet, or another look"
             )
         found["planet"] = jnp.asarray(layers.planet, jnp.asarray(layers.front).dtype)
+    if any(name in PLACES for name in needs):
+        found |= _places(layers, needs, at)
     return {name: found[name] for name in needs if name in found}
+
+
+def _places(
+    layers: Layers, needs: Sequence[str], at: tuple[AnyArray, AnyArray] | None
+) -> dict[str, AnyArray]:
+    """Where on the ray and how high the air is.
+
+    Twin: `main` in `combine.frag`.
+    """
+    rays, front = layers.rays, jnp.asarray(layers.front)
+    if rays is None:
+        asked = next(name for name in needs if name in PLACES)
+        raise InputError(
+            "layers: do not tell how rays pass the planet, which the look asks for (its field "
+            f"{asked}); give layers of a scene, a file that airlight wrote with its scene, or "
+            "another look"
+        )
+    dtype = front.dtype
+    # In float64 where the rays are plain numbers: heights are small differences of large ones.
+    height, width = front.shape
+    column, row = pixel_grid(height, width, np.float64) if at is None else at
+    x, y = pixel_slopes(rays, column, row)
+    mx, my = ray_offsets(rays.aim, column, row)
+    squared, dd = squared_miss_distance(x, y, mx, my)
+    xp = namespace(squared)
+    impact, slant = safe_sqrt(squared), xp.sqrt(dd)
+    nearest = rays.depth - layers.reference - rays.radius * (mx * x + my * y) / dd
+    altitude = (squared - 1) / (impact + 1) * rays.radius
+
+    def here(value: Any) -> AnyArray:
+        return jnp.broadcast_to(jnp.asarray(value, dtype), front.shape)
+
+    def along(depth: AnyArray) -> AnyArray:
+        return (depth - here(nearest)) * here(slant)
+
+    back = jnp.asarray(layers.back)
+    unit = layers.width_unit * (1.0 if layers.stretch is not None else slant)
+    found = {
+        "begin": along(front),
+        "end": along(back),
+        "altitude": here(altitude),
+        "impact": here(impact * rays.radius),
+        "per_length": here(1 / unit),
+    }
+    begin, until = layers.shadow_front, layers.shadow_back
+    if ("dark_begin" in needs or "dark_end" in needs) and begin is not None and until is not None:
+        if np.ndim(begin) > front.ndim:
+            raise InputError(
+                f"layers: hold {len(begin)} shadows, and the look asks where in the air the shadow "
+                "is (its field dark_begin); remove the occluders, or use another look"
+            )
+        found["dark_begin"] = along(jnp.clip(begin, front, back))
+        found["dark_end"] = along(jnp.clip(until, front, back))
+    return found
 
 
 def uses_shadow(needs: Sequence[str]) -> bool:

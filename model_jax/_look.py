@@ -17,6 +17,7 @@ import inspect
 import math
 import re
 from abc import abstractmethod
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 import equinox as eqx
@@ -126,6 +127,8 @@ class Look(eqx.Module):
     BLEND: ClassVar[Blend] = "add"
     """What is done with the light's alpha, if `air` returns one."""
     SEPARABLE: ClassVar[Separable | None] = None
+    TERMS: ClassVar[dict[str, str]] = {}
+    """What may be added to it (`with_terms`), by name, and what that does."""
     GLSL: ClassVar[str | None] = None
     """Text of its twin; None: the file NAME.glsl beside the module."""
 
@@ -158,6 +161,16 @@ class Look(eqx.Module):
         # The nearest class's word counts; what it inherits comes after its own.
         inherited = {name: p for name, p in cls.PARAMETERS.items() if name not in own}
         cls.PARAMETERS = own | inherited
+
+    @classmethod
+    def with_terms(cls, terms: Iterable[str]) -> "type[Look]":
+        """The look with some of its `TERMS`, named as `air+density`.
+
+        Raises `InputError` naming a term that it does not have.
+        """
+        for name in terms:
+            raise InputError(f"look {cls.NAME}: has no term {shown(name)}; it has none at all")
+        return cls
 
     @abstractmethod
     def air(self, fields: Fields) -> tuple[Any, Any]:
@@ -220,7 +233,7 @@ _TAKEN = {
     *RESPONSE_PARAMETERS,
     # What a look has itself.
     *("background", "air", "NAME", "PARAMETERS", "NEEDS", "LINEAR_IN", "ROUNDINGS", "BLEND"),
-    *("SEPARABLE", "GLSL"),
+    *("SEPARABLE", "GLSL", "TERMS", "with_terms"),
     # Keys of scene files and exports.
     *("kind", "look", "verdict", "warnings", "color", "width_unit"),
     *("atmosphere_path", "atmosphere_height", "planet_radius"),

@@ -11,8 +11,9 @@ import numpy as np
 
 from model_jax import InputError, Look
 from model_jax._composite import transmits
+from model_jax._fields import PLACES
 from model_jax._parameter import Parameter
-from model_jax.looks._registry import BUILT_IN, checked
+from model_jax.looks._registry import checked, is_built_in
 
 from ._shaders import shader_source
 
@@ -88,10 +89,10 @@ def _taken() -> frozenset[str]:
 def _found(kind: type[Look]) -> str:
     if kind.GLSL is not None:
         return kind.GLSL
-    if BUILT_IN.get(kind.NAME) is kind:
-        return (resources.files("render_gl") / "glsl" / "looks" / f"{kind.NAME}.glsl").read_text(
-            encoding="utf-8"
-        )
+    if is_built_in(kind):
+        name, *terms = kind.NAME.split("+")
+        file = resources.files("render_gl") / "glsl" / "looks" / f"{name}.glsl"
+        return _with_terms(file.read_text(encoding="utf-8"), terms)
     try:
         beside = Path(inspect.getfile(kind)).with_name(f"{kind.NAME}.glsl")
         return beside.read_text(encoding="utf-8")
@@ -100,6 +101,33 @@ def _found(kind: type[Look]) -> str:
             f"look {kind.NAME}: has no GLSL to draw with ({error}); put {kind.NAME}.glsl beside "
             "its Python file, or its text into GLSL"
         ) from None
+
+
+def _with_terms(text: str, terms: list[str]) -> str:
+    """The lines of a look's text that its terms are asked for: `#ifdef TERM_…`, `#else`, `#endif`.
+
+    What is for other terms is not there at all, neither for the compiler nor for `look_text`.
+    """
+    asked = {f"TERM_{name.upper().replace('-', '_')}" for name in terms}
+    kept: list[str] = []
+    open_: list[
+        bool | None
+    ] = []  # of each condition around: whether it holds; None: the compiler's
+    for line in text.splitlines():
+        word = line.split()
+        if word[:1] and word[0] in ("#ifdef", "#ifndef", "#if"):
+            own = len(word) > 1 and word[1].startswith("TERM_")
+            open_.append((word[1] in asked) == (word[0] == "#ifdef") if own else None)
+            if own:
+                continue
+        elif word[:1] == ["#else"] and open_[-1] is not None:
+            open_[-1] = not open_[-1]
+            continue
+        elif word[:1] == ["#endif"] and open_.pop() is not None:
+            continue
+        if False not in open_:
+            kept.append(line)
+    return "\n".join(kept) + "\n"
 
 
 def _declared(type_: str, name: str) -> str:
@@ -124,4 +152,5 @@ def look_uniforms(look: Look) -> dict[str, Any]:
 def look_defines(kind: type[Look]) -> dict[str, int]:
     """The switches of a look: its fields, and whether it has a transmittance."""
     fields = {f"FIELD_{name.upper()}": 1 for name in kind.NEEDS}
+    fields |= {"PLACES": 1} if any(name in PLACES for name in kind.NEEDS) else {}
     return fields | ({"TRANSMITS": 1} if transmits(kind) else {})

@@ -14,6 +14,14 @@ relative) and e = the driver's worst error of a division in ulp:
               the slope 1½ on either side, which its square doubles and the root halves, the squares
               and their sum 1, the root 2½ + 2 (an inverse square root's), a product of ½ on either
               side. They do to the light what its slope says.
+    places    With m where the ray passes the plane through the planet's centre and d its slope,
+              float32 in the shader and float64 on the host, m is off by 2 ulp of itself and of its
+              value at the anchor. The nearest point, m·d/d², is off by 10 ulp more of its product,
+              and, where depths count from the eye, by 2 ulp of the centre's; a place by its depth's
+              e ulp, the nearest point's error and 8 ulp of itself. The squared distance from the
+              centre, (m² + (m×d)²)/d², is off by m's error, 12 ulp of its second square and 6 of
+              itself; the distance by its root's share, the height likewise and by 10 ulp of itself,
+              of which an exponential's 2 |x| ulp and its quotient take most.
     look      what the look says of its own arithmetic (`ROUNDINGS`).
 
 The specification allows e = 2.5 against JAX's ½, together 3. Drivers differ (llvmpipe has divided
@@ -25,6 +33,7 @@ correctly rounded e is 0; else it is the largest error found plus 1, and at most
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,8 +41,10 @@ from jaxtyping import Float
 
 from model_jax import DriverError, Layers, Look, Scene, combine, depth_constants, linearize_depth
 from model_jax._composite import air_light
-from model_jax._fields import WIDTHS, fields_of
+from model_jax._fields import PLACES, WIDTHS, fields_of
+from model_jax._intersect import squared_miss_distance
 from model_jax._shapes import AnyArray
+from model_jax._view import pixel_grid, pixel_slopes, ray_offsets
 
 from ._context import on_gl
 from ._depth_format import EPS, STORAGE, DepthFormat
@@ -119,7 +130,10 @@ def compare(
     division = 0.0 if STORAGE[depth_format].encoding == "linear" else division_ulp
     picture = np.asarray(combine(layers, look))
     fields = fields_of(layers, type(look).NEEDS)
-    (light, alpha, passed), slopes = _slopes(look, fields, layers)
+    color = jnp.asarray(layers.color, jnp.float32)[:3]
+    (light, alpha, passed), slopes = jax.tree.map(
+        lambda part: np.asarray(part, np.float64), _slopes(look, fields, color)
+    )
     of_light, of_alpha, of_passed = _field_bounds(fields, slopes, layers, division)
     own, of_one = type(look).ROUNDINGS
     tiny = np.finfo(np.float32).tiny  # drivers may flush denormals to zero
@@ -139,11 +153,9 @@ Parts = tuple[np.ndarray, ...]
 """Of light [h, w, 3], alpha [h, w, 1] and transmittance [h, w, 3]."""
 
 
-def _slopes(
-    look: Look, fields: dict[str, AnyArray], layers: Layers
-) -> tuple[Parts, dict[str, Parts]]:
-    """What a look makes of fields, and its slopes by each of them."""
-    color = np.asarray(layers.color)[:3]
+@eqx.filter_jit
+def _slopes(look: Look, fields: dict[str, AnyArray], color: AnyArray) -> Any:
+    """What a look makes of fields (`Parts`), and its slopes by each of them, by name."""
 
     def looked(fields: dict[str, AnyArray]) -> tuple[AnyArray, ...]:
         air = air_light(look, fields, color)
@@ -152,12 +164,12 @@ def _slopes(
         alpha = one if air.alpha is None else air.alpha
         return air.light, alpha, jnp.broadcast_to(passed, air.light.shape)
 
-    slopes: dict[str, Parts] = {}
-    for name in fields:
-        ones = {n: jnp.full_like(f, float(n == name)) for n, f in fields.items()}
-        _, found = jax.jvp(looked, (fields,), (ones,))
-        slopes[name] = tuple(np.asarray(part, np.float64) for part in found)
-    return tuple(np.asarray(part, np.float64) for part in looked(fields)), slopes
+    parts, push = jax.linearize(looked, fields)
+    slopes = {
+        name: push({n: jnp.full_like(f, float(n == name)) for n, f in fields.items()})
+        for name in fields
+    }
+    return parts, slopes
 
 
 def _field_bounds(
@@ -178,18 +190,57 @@ def _field_bounds(
         low, high = (np.clip(np.reshape(d, (-1, *front.shape)), front, back) for d in depths)
         ulps = np.spacing(np.abs(low)) + np.spacing(np.abs(high))
         edges = scale * np.sum(np.where(high != low, ulps, 0.0), axis=0)
+    asked = [name for name in PLACES if name in fields]
+    errors = _place_errors(layers, division_ulp) if asked else {}
+    places = {name: np.where(front != back, errors[name], 0.0) for name in asked}
     found = []
     for k in range(3):
         nothing = np.zeros((*front.shape, 1))
         by = {name: slopes[name][k] if name in slopes else nothing for name in WIDTHS}
         sizes = {name: np.abs(np.asarray(fields[name])) for name in WIDTHS if name in fields}
         rounded = sum((np.abs(by[n]) * size[..., None] for n, size in sizes.items()), nothing)
+        placed = sum((np.abs(slopes[n][k]) * off[..., None] for n, off in places.items()), nothing)
         found.append(
-            roundings * EPS * rounded
+            placed
+            + roundings * EPS * rounded
             + np.abs(by["width"] + by["lit"]) * ends[..., None]
             + np.abs(by["lit"] - by["dark"]) * edges[..., None]
         )
     return tuple(found)
+
+
+def _place_errors(layers: Layers, division_ulp: float) -> dict[str, Float[np.ndarray, "h w"]]:
+    """How far the two sides' places on the ray and heights may be apart (see the module)."""
+    rays = layers.rays
+    assert rays is not None  # else there were no such fields
+    height, width = np.shape(layers.front)
+    grid = pixel_grid(height, width, np.float64)
+    x, y = (np.abs(part) for part in pixel_slopes(rays, *grid))
+    mx, my = ray_offsets(rays.aim, *grid)
+    squared, dd = squared_miss_distance(*pixel_slopes(rays, *grid), mx, my)
+    m, d = np.hypot(mx, my), np.hypot(x, y)
+    of_m = 2 * (m + np.hypot(*np.asarray(rays.aim.offset)))
+    radius, slant, impact = float(rays.radius), np.sqrt(dd), np.sqrt(squared)
+    reference = float(layers.reference)
+    center = abs(float(rays.depth) - reference)
+    nearest = EPS * (radius * (of_m * d + 10 * m * d) / dd + 2 * center)
+    of_squared = EPS * ((2 * m * of_m + 12 * (m * d) ** 2) / dd + 6 * squared)
+    at = fields_of(layers, PLACES)
+    found = {}
+    begin, until = layers.shadow_front, layers.shadow_back
+    depths = {"begin": layers.front, "end": layers.back}
+    if begin is not None and until is not None:
+        depths |= {"dark_begin": begin, "dark_end": until}
+    for name, depth in depths.items():
+        inside = np.clip(np.asarray(depth), layers.front, layers.back)
+        off = division_ulp * np.spacing(np.abs(inside))
+        found[name] = slant * (off + nearest) + 8 * EPS * np.abs(np.asarray(at[name]))
+    height = np.abs(np.asarray(at["altitude"]))
+    by_root = np.minimum(of_squared / np.maximum(2 * impact, 1e-30), np.sqrt(of_squared))
+    found["altitude"] = radius * of_squared / (impact + 1) + 10 * EPS * height
+    found["impact"] = radius * (by_root + EPS * impact)
+    found["per_length"] = 6 * EPS * np.abs(np.asarray(at["per_length"]))
+    return found
 
 
 def measure_division(scene: Scene, depth_format: DepthFormat) -> float:

@@ -94,7 +94,7 @@ class Passes:
 
     @property
     def transmits(self) -> bool:
-        """Whether the look has a transmittance, which the combine shader then writes too."""
+        """Whether the combine shader writes a transmittance too."""
         return "TRANSMITS" in self.defines
 
     @property
@@ -247,23 +247,24 @@ class Passes:
         self.context.framebuffer([air]).clear()
         self.context.framebuffer(depths).clear(*[self.empty] * 4)
         more = [self.context.texture(self.size, 4, dtype="f4")] if self.transmits else []
-        for texture in more:
-            self.context.framebuffer([texture]).clear(1.0, 1.0, 1.0, 1.0)
+        if more:
+            self.context.framebuffer(more).clear(1.0, 1.0, 1.0, 1.0)
         self._target([air, *depths, *more]).use()
         units: dict[str, Any] = self.look_uniforms | {"planet_atmosphere": 0}
-        units["band_rows"] = self.size[1]
+        units |= {"band_rows": self.size[1], "first_row": self.bottom}
         self._bind(behind, 0)
         if "planet" in self.look.NEEDS:
             ground.use(2)
-            units["ground_pass"] = 2
+        units |= {"ground_pass": 2, "shadow_depths": 1}
         if atlas is not None:
             self._bind(atlas, 1)
-            units["shadow_depths"] = 1
         self._state("back", test=False)
-        # Inside the mesh, not just the sphere: every ray then has a back face, and no front.
         if self.exact:
             self._bounded("combine.frag", self.view.aim, self.shell, **units)
-        elif np.linalg.norm(self.position) <= self.shell * self.inner_radius:
+            return [air, *depths, *more]
+        units |= aim_uniforms(self.scene.camera, self.view.aim, self.shell)
+        # Inside the mesh, not just the sphere: every ray then has a back face, and no front.
+        if np.linalg.norm(self.position) <= self.shell * self.inner_radius:
             self._screen("combine.frag", **units)
         else:
             self._volume(self.sphere, "combine.frag", self.shell, **units)

@@ -27,6 +27,7 @@ DEFINES = frozenset(
         *(f"FIELD_{name.upper()}" for name in FIELDS),
         "LINEAR",
         "OCCLUDERS",
+        "PLACES",
         "RELIEF",
         "REVERSED",
         "SHADOWS",

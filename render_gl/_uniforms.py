@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from model_jax import Camera, Encoding, Look, Scene, Sun, depth_constants, eye_center
+from model_jax._column import DEEPEST, NODES, REACH, SERIES_DEPTH, SHARES, STEEPEST
 from model_jax._view import Aim, ShadowCone
 
 from ._depth_format import Storage
@@ -41,6 +42,10 @@ def uniforms_of(scene: Scene, encoding: Encoding) -> dict[str, Any]:
         "pixel_size": float(camera.pixel_size()),
         "principal": (camera.width / 2, camera.height / 2),
         "first_row": 0.0,
+        "column_nodes": list(NODES),
+        "column_shares": list(SHARES),
+        "column_limits": (REACH, STEEPEST, DEEPEST, float(np.finfo(np.float32).tiny) ** 0.5),
+        "series_depth": SERIES_DEPTH,
         "color": tuple(np.asarray(scene.atmosphere.color)),
         "planet_color": albedo if isinstance(albedo, tuple) else (0.0, 0.0, 0.0),
         "relief_scale": relief_scale(scene),

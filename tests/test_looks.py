@@ -205,7 +205,8 @@ def test_two_files_of_one_name_are_two_looks(tmp_path: Path) -> None:
 
 # --- nothing outside of a look's files spells it ------------------------------------------------
 
-OWN = ("model_jax/looks/_layers.py", "render_gl/glsl/looks/layers.glsl")
+OWN = {f"model_jax/looks/_{name}.py" for name in ("layers", "air")}
+OWN |= {f"render_gl/glsl/looks/{name}.glsl" for name in ("layers", "air")}
 
 NAMES = {
     "fit/bench/_case.py": "the race is run with the look `layers`, whose optimum is known",
@@ -222,6 +223,9 @@ GEOMETRY = {
     *(f"model_jax/_{name}.py" for name in ("shapes", "tolerance", "view")),
     *(f"render_gl/_{n}.py" for n in ("draw", "frame", "layers_file", "mesh", "parity", "raster")),
     *(f"render_gl/_{name}.py" for name in ("render", "scene_file", "shaders", "uniforms")),
+    "model_jax/_column.py",
+    "model_jax/looks/_check.py",  # sample rays
+    "render_gl/glsl/column.glsl",
     *(f"render_gl/glsl/{n}" for n in ("combine.frag", "depth.frag", "fields.glsl", "rays.glsl")),
     "render_gl/glsl/volume.vert",
     "fit/cli/_written.py",  # which pixels are mostly in shadow
@@ -239,7 +243,7 @@ def spelled(word: str) -> set[str]:
     folders = ("model_jax", "render_gl", "fit", "airlight")
     command = ["git", "grep", "-l", "-w", "-E", word, "--", *folders]
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=REPOSITORY)
-    return set(done.stdout.split()) - set(OWN)
+    return set(done.stdout.split()) - OWN
 
 
 def test_no_product_file_spells_the_papers_look() -> None:

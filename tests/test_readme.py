@@ -57,14 +57,20 @@ def looks_table() -> list[str]:
 
     rows = ["| look | parameter | default | unit | range | meaning |", "|---|---|---|---|---|---|"]
     for name, look in describe_looks()["looks"].items():
-        for key, about in look["parameters"].items():
+        more = [
+            (f"{name}+{term}", key, about)
+            for term, added in look["terms"].items()
+            for key, about in added["parameters"].items()
+        ]
+        own = [(name, key, about) for key, about in look["parameters"].items()]
+        for look_name, key, about in own + more:
             default = about["default"]
             values = default if isinstance(default, list) else [default]
             low, high = (
                 ("−∞" if about["lower"] is None else f"{about['lower']:g}"),
                 ("∞" if about["upper"] is None else f"{about['upper']:g}"),
             )
-            cells = [name, f"`{key}`", " ".join(f"{v:g}" for v in values), about["unit"]]
+            cells = [look_name, f"`{key}`", " ".join(f"{v:g}" for v in values), about["unit"]]
             rows.append("| " + " | ".join([*cells, f"{low} … {high}", about["meaning"]]) + " |")
     return rows
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from model_jax import FIELDS, Look, find_look, looks
+from model_jax import FIELDS, Look, Parameter, find_look, looks
 from model_jax._composite import dims
 from model_jax._look import light_of
 from render_gl._looks import look_text
@@ -31,20 +31,33 @@ def _look(kind: type[Look]) -> dict[str, Any]:
         "needs": list(kind.NEEDS),
         "linear_in": list(kind.LINEAR_IN),
         "dims_what_lies_behind": dims(kind),
+        "parameters": {name: _parameter(about) for name, about in kind.PARAMETERS.items()},
+        "terms": {term: _term(kind, term) for term in kind.TERMS},
+    }
+
+
+def _term(kind: type[Look], term: str) -> dict[str, Any]:
+    """What a term does, and the parameters that it brings."""
+    added = kind.with_terms([term]).PARAMETERS
+    return {
+        "meaning": kind.TERMS[term],
         "parameters": {
-            name: {
-                "meaning": about.meaning,
-                "unit": about.unit,
-                "lower": _finite(about.lower),
-                "upper": _finite(about.upper),
-                "default": _listed(about.default),
-                "shape": about.shape,
-                "mean_one": about.mean_one,
-                "of": about.of,
-                "source": about.source,
-            }
-            for name, about in kind.PARAMETERS.items()
+            name: _parameter(about) for name, about in added.items() if name not in kind.PARAMETERS
         },
+    }
+
+
+def _parameter(about: Parameter) -> dict[str, Any]:
+    return {
+        "meaning": about.meaning,
+        "unit": about.unit,
+        "lower": _finite(about.lower),
+        "upper": _finite(about.upper),
+        "default": _listed(about.default),
+        "shape": about.shape,
+        "mean_one": about.mean_one,
+        "of": about.of,
+        "source": about.source,
     }
 
 
@@ -77,7 +90,18 @@ def _block(name: str, look: dict[str, Any]) -> str:
         lines.append("  " + "  ".join([*cells, row[4]]).rstrip())
     needs = ", ".join(look["needs"])
     dims = "; dims what lies behind" if look["dims_what_lies_behind"] else ""
-    return "\n".join([*lines, f"  needs {needs}{dims}"])
+    terms = [
+        line
+        for term, about in look["terms"].items()
+        for line in (
+            f"  +{term}: {about['meaning']}",
+            *(
+                "    " + "  ".join(cell for cell in _row(key, more) if cell)
+                for key, more in about["parameters"].items()
+            ),
+        )
+    ]
+    return "\n".join([*lines, f"  needs {needs}{dims}", *terms])
 
 
 def _row(name: str, about: dict[str, Any]) -> list[str]:

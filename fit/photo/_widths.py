@@ -1,15 +1,16 @@
 """Fields of a photo's pixels, in pieces of one size."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from model_jax import Layers
-from model_jax._fields import fields_of, uses_shadow
+from model_jax._fields import PLACES, fields_of, uses_shadow
 from model_jax._shapes import AnyArray
 
 from .._compile import float64
@@ -35,6 +36,9 @@ def fields_at(
         row[..., 0, : chosen.size] = np.asarray(depth).reshape(*several, -1)[..., chosen]
         return row
 
+    # Only where they are asked for: programs of other looks stay as they are.
+    rays = layers.rays if any(name in PLACES for name in needs) else None
+    width = np.shape(layers.front)[1]
     shadows = [s for s in (layers.shadow_front, layers.shadow_back) if s is not None]
     shadows = shadows if uses_shadow(needs) else []
     maps = {"planet": layers.planet if "planet" in needs else None, "stretch": layers.stretch}
@@ -48,10 +52,19 @@ def fields_at(
                 name: None if m is None else part(m, chosen) for name, m in maps.items()
             }
             piece = Layers(front, back, begin, until, width_unit=unit, **more)
-            for name, field in _jit_fields(piece, needs=tuple(needs)).items():
+            piece = replace(piece, rays=rays, reference=layers.reference)
+            at = None if rays is None else np.divmod(_row(chosen), width)[::-1]
+            for name, field in _jit_fields(piece, needs=tuple(needs), at=at).items():
                 whole = found.setdefault(name, np.empty(index.size))
                 whole[start:end] = np.asarray(field)[0, : end - start]
     return found
+
+
+def _row(chosen: Int[np.ndarray, " n"]) -> Float[np.ndarray, "1 chunk"]:
+    """Flat indices of a piece, 0 where it is not filled."""
+    row = np.zeros((1, _CHUNK))
+    row[0, : chosen.size] = chosen
+    return row
 
 
 def rounding_of_widths(layers: Layers, used: Bool[np.ndarray, "h w"], unit: float) -> float:

@@ -54,7 +54,8 @@ def _check_record(kind: type[Look]) -> None:
     unknown = [name for name in (*kind.NEEDS, *kind.LINEAR_IN) if name not in FIELDS]
     if unknown:
         raise InputError(f"no field is called {shown(unknown[0])}; there are {', '.join(FIELDS)}")
-    if not re.fullmatch(r"[a-z][a-z0-9_-]*", kind.NAME):
+    name, *terms = kind.NAME.split("+") if kind.TERMS else [kind.NAME]
+    if not re.fullmatch(r"[a-z][a-z0-9_-]*", name) or not set(terms) <= kind.TERMS.keys():
         raise InputError(
             f"NAME is {shown(kind.NAME)}; give small letters, digits, - and _, a letter first"
         )
@@ -133,7 +134,29 @@ def _fields(kind: type[Look]) -> dict[str, Float[np.ndarray, " n"]]:
     for k, name in enumerate(kind.NEEDS):
         values = np.array([row[k % 2] for row in rows], np.float32)
         found[name] = values if name in WIDTHS else (np.arange(len(values)) % 2).astype(np.float32)
-    return found
+    return found | {name: part for name, part in _places().items() if name in kind.NEEDS}
+
+
+def _places() -> dict[str, Float[np.ndarray, " n"]]:
+    """Sample rays through 100 km of air above 6,371 km: as many as pairs of widths, of which every
+    third meets the ground; some through the centre, some along the shell, some half in shadow."""
+    low, high = np.array(list(itertools.product(SAMPLES, repeat=2))).T / SAMPLES.max()
+    radius, top = 6371.0, 6471.0
+    hits = np.arange(len(low)) % 3 == 0
+    impact = np.where(hits, low * radius, radius + low * (top - radius))
+    end = np.sqrt(np.maximum(top**2 - impact**2, 0))
+    ground = -np.sqrt(np.maximum(radius**2 - impact**2, 0))
+    last = np.where(hits, ground, end)
+    found = {
+        "begin": -end,
+        "end": last,
+        "dark_begin": -end + high / 2 * (last + end),
+        "dark_end": -end + high * (last + end),
+        "altitude": impact - radius,
+        "impact": impact,
+        "per_length": np.full(len(low), 1e-3),
+    }
+    return {name: part.astype(np.float32) for name, part in found.items()}
 
 
 _COLOR = np.array([0.3, 0.6, 1.0], np.float32)

@@ -13,12 +13,13 @@ from pathlib import Path
 
 from .._errors import InputError, cut, need_path, shown
 from .._look import Look
+from ._air import AirLook
 from ._check import check_look
 from ._layers import LayersLook
 
 GROUP = "airlight.looks"
 
-BUILT_IN: dict[str, type[Look]] = {kind.NAME: kind for kind in (LayersLook,)}
+BUILT_IN: dict[str, type[Look]] = {kind.NAME: kind for kind in (LayersLook, AirLook)}
 
 
 def looks() -> dict[str, type[Look]]:
@@ -30,15 +31,16 @@ def looks() -> dict[str, type[Look]]:
 
 
 def find_look(look: str | os.PathLike[str]) -> type[Look]:
-    """The look of a name, or of a Python file's path (what ends in .py).
+    """The look of a name, with its terms as in `air+density`, or of a Python file (.py).
 
     Raises `InputError` for an unknown name, and for a look with an error (`check_look`).
     """
     text = need_path("look", look)
     if text.endswith(".py"):
         return load_look(text)
-    if text in BUILT_IN:
-        return BUILT_IN[text]
+    first, *terms = text.split("+")
+    if first in BUILT_IN:
+        return BUILT_IN[first].with_terms(terms)
     points = _points()
     if text in points:
         return _installed(points[text])
@@ -51,9 +53,16 @@ def find_look(look: str | os.PathLike[str]) -> type[Look]:
 
 def checked(kind: type[Look]) -> type[Look]:
     """The look, if it is what it says (`check_look`); the built-in ones were checked by tests."""
-    if BUILT_IN.get(kind.NAME) is not kind:
+    if not is_built_in(kind):
         check_look(kind)
     return kind
+
+
+def is_built_in(kind: type[Look]) -> bool:
+    """Whether it is one of this package's, with terms or without."""
+    first, *terms = kind.NAME.split("+")
+    base = BUILT_IN.get(first)
+    return base is not None and issubclass(kind, base) and base.with_terms(terms) is kind
 
 
 def load_look(path: str | os.PathLike[str]) -> type[Look]:

@@ -1,11 +1,13 @@
 #version 330
 // Pass 5: reads the depths of its pixel, hands on its own and the one behind, and asks the look for
 // the light of what lies between them. EXACT: its own is where the pixel's ray enters the shell; else
-// the mesh's. FIELD_...: what the look asks for; TRANSMITS: it has a transmittance.
+// the mesh's. FIELD_...: what the look asks for, PLACES: heights and
+// lengths among it; TRANSMITS: it has a transmittance.
 
 #include "rays.glsl"
 #include "fields.glsl"
 #include "depth_code.glsl"
+#include "column.glsl"
 
 // What the pixel's ray meets, as model_jax.FIELDS says.
 struct Fields {
@@ -21,6 +23,27 @@ struct Fields {
 #endif
 #ifdef FIELD_PLANET
     float planet;
+#endif
+#ifdef FIELD_BEGIN
+    float begin;
+#endif
+#ifdef FIELD_END
+    float end;
+#endif
+#ifdef FIELD_DARK_BEGIN
+    float dark_begin;
+#endif
+#ifdef FIELD_DARK_END
+    float dark_end;
+#endif
+#ifdef FIELD_ALTITUDE
+    float altitude;
+#endif
+#ifdef FIELD_IMPACT
+    float impact;
+#endif
+#ifdef FIELD_PER_LENGTH
+    float per_length;
 #endif
 };
 
@@ -91,6 +114,47 @@ void main() {
 #endif
 #ifdef FIELD_PLANET
     fields.planet = texelFetch(ground_pass, pixel, 0).a;
+#endif
+#ifdef PLACES
+    vec2 d = ray_direction(), m = ray_offset();
+    float dd = 1.0 + dot(d, d), turn = m.x * d.y - m.y * d.x;
+    float slant = sqrt(dd), squared = (dot(m, m) + turn * turn) / dd, impact = sqrt(squared);
+#ifdef LINEAR
+    float nearest = -length_unit * dot(m, d) / dd;
+#else
+    float nearest = length_unit * (eye_reference.x - dot(m, d) / dd);
+#endif
+#endif
+#ifdef FIELD_BEGIN
+    fields.begin = (eye_depth(front) - nearest) * slant;
+#endif
+#ifdef FIELD_END
+    fields.end = (eye_depth(back) - nearest) * slant;
+#endif
+#ifdef FIELD_DARK_BEGIN
+    fields.dark_begin = 0.0;
+#ifdef SHADOWS
+    fields.dark_begin = (eye_depth(NEARER(FARTHER(depths[2], front), back)) - nearest) * slant;
+#endif
+#endif
+#ifdef FIELD_DARK_END
+    fields.dark_end = 0.0;
+#ifdef SHADOWS
+    fields.dark_end = (eye_depth(NEARER(FARTHER(depths[3], front), back)) - nearest) * slant;
+#endif
+#endif
+#ifdef FIELD_ALTITUDE
+    fields.altitude = (squared - 1.0) / (impact + 1.0) * length_unit;
+#endif
+#ifdef FIELD_IMPACT
+    fields.impact = impact * length_unit;
+#endif
+#ifdef FIELD_PER_LENGTH
+#ifdef STRETCH
+    fields.per_length = 1.0 / width_unit;
+#else
+    fields.per_length = 1.0 / (width_unit * slant);
+#endif
 #endif
     float alpha = color.a;
     vec3 transmittance = vec3(1.0);

@@ -282,7 +282,9 @@ def test_ties_are_finite(name: str, mode: Callable, dtype: np.dtype) -> None:
     values = [jnp.full((1, 1), z, dtype) for z in TIES[name]]
 
     def picture(depths: list[jax.Array], look: LayersLook) -> Numbers:
-        return combine(Layers(*depths), look)
+        front, back, *shadow = depths
+        begin, until = shadow or (None, None)
+        return combine(Layers(front, back, begin, until), look)
 
     look = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), LayersLook())
     for argument in (0, 1):

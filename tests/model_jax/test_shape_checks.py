@@ -1,5 +1,7 @@
 """The run-time checks are switched on: a transposed image fails, and so does a mixed-up rank."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -26,7 +28,7 @@ def test_the_right_shapes_pass() -> None:
     ],
     ids=["back", "shadow", "surface", "channels first", "integers"],
 )
-def test_a_transposed_image_fails(fields: dict[str, np.ndarray]) -> None:
+def test_a_transposed_image_fails(fields: dict[str, Any]) -> None:
     with pytest.raises(TypeCheckError):
         Layers(**fields)
 

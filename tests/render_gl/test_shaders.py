@@ -6,7 +6,7 @@ from importlib import resources
 import pytest
 
 import model_jax
-from model_jax import FIELDS, _analytic, _intersect, _safe, _view
+from model_jax import FIELDS, _analytic, _column, _intersect, _safe, _view
 from render_gl._shaders import DEFINES, shader_source
 
 FILES = sorted(
@@ -39,6 +39,9 @@ TWINS = {
     "half_line": _intersect._half_line,
     "quotient": _safe.safe_divide,
     "is_ahead": _analytic.is_ahead,
+    "column": _column.column,
+    "pieces": _column.pieces,
+    "mean_transmittance": _column.mean_transmittance,
 }
 """Of functions whose twin is not public, or has another name."""
 
@@ -94,6 +97,6 @@ def test_defines_follow_the_version_line() -> None:
     known = sorted(
         {"CONE", "EXACT", "LINEAR", "REVERSED", "SHADOWS", "SORTED", "STRETCH", "TRANSMITS"}
     )
-    known = sorted({*known, *(f"FIELD_{name.upper()}" for name in FIELDS)})
+    known = sorted({*known, "PLACES", *(f"FIELD_{name.upper()}" for name in FIELDS)})
     assert lines[1 : len(known) + 1] == [f"#define {name} 2" for name in known]
     assert "#include" not in text

@@ -1,0 +1,170 @@
+"""The look `air`: air that may thin out with height, end lower than the shell, and dim itself.
+
+Its terms are named with it, `air+density+saturation`; each set of them is a class of its own, so
+that a term that is not there has no parameter, no field and no line in the shader.
+"""
+
+from collections.abc import Iterable
+from functools import cache
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+
+from .._column import columns, lengths_to, mean_transmittance
+from .._errors import InputError
+from .._fields import PLACES, Fields
+from .._look import Look, Separable, parameter
+from .._parameter import PER_UNIT, Shape
+from .._shapes import Scalar, Three
+
+
+def _scale_height(shape: Shape) -> Any:
+    return parameter(
+        "height in which the air thins out to 1/e",
+        unit="length",
+        lower=0.0,
+        default=8.0 if shape == "number" else (8.0, 8.0, 8.0),
+        scale=8.0,
+        shape=shape,
+        source="Earth's in km: U.S. Standard Atmosphere, 1976, 8.4 km at sea level",
+    )
+
+
+def _parameters(term: str) -> dict[str, tuple[Any, Any]]:
+    """Annotation and field of each parameter that a term brings."""
+    if term == "density":
+        return {"scale_height": (Scalar, _scale_height("number"))}
+    if term == "density-rgb":
+        return {"scale_height": (Three, _scale_height("rgb"))}
+    if term == "top":
+        about = parameter(
+            "height at which the air ends, if below the shell's",
+            unit="length",
+            lower=0.0,
+            default=100.0,
+            scale=100.0,
+        )
+        return {"top": (Scalar, about)}
+    about = parameter(
+        "optical depth of a width unit of air, each channel",
+        unit=PER_UNIT,
+        lower=0.0,
+        default=(1.0, 1.0, 1.0),
+        shape="rgb",
+    )
+    return {"extinction": (Three, about)}
+
+
+class AirLook(Look):
+    """Air as on a planet: `brightness · color · tint · (lit + shadow · dark)`, and its terms."""
+
+    brightness: Scalar = parameter(
+        "light per width unit of lit air (at the ground, if it thins out), times colour",
+        unit=PER_UNIT,
+        lower=0.0,
+        default=3.0,
+        source="the paper's pixel shader",
+    )
+    shadow: Scalar | Three = parameter(
+        "light of shadowed air as a share of lit air",
+        lower=0.0,
+        default=0.2,
+        shape="either",
+        source="the paper's pixel shader",
+    )
+    tint: Three = parameter(
+        "factor on the air's colour, mean 1 over the channels",
+        lower=0.0,
+        upper=3.0,
+        default=(1.0, 1.0, 1.0),
+        shape="rgb",
+        mean_one=True,
+    )
+
+    NAME = "air"
+    NEEDS = ("lit", "dark")
+    LINEAR_IN = ("lit", "dark")
+    ROUNDINGS = (5.0, 0.0)
+    SEPARABLE = Separable("brightness", "tint", "shadow", "lit", "dark")
+
+    TERMS: ClassVar[dict[str, str]] = {
+        "density": "air thins out exponentially with height",
+        "density-rgb": "the same, each channel with its own scale height",
+        "top": "air ends below the shell's height",
+        "saturation": "air dims its own light and what lies behind it",
+    }
+
+    @classmethod
+    def with_terms(cls, terms: Iterable[str]) -> type[Look]:
+        return _with_terms(tuple(name for name in cls.TERMS if name in _known(cls, terms)))
+
+    def air(self, fields: Fields) -> tuple[Any, Any]:
+        terms = type(self).NAME.split("+")[1:]
+        lit, dark = self._widths(fields, terms)
+        light = self.brightness * (fields.color * self.tint * (lit + self.shadow * dark))
+        if "saturation" not in terms:
+            return light, None
+        depth = self.extinction * jnp.maximum(lit + dark, 0)
+        return light * mean_transmittance(depth), jnp.exp(-depth)
+
+    def _widths(self, fields: Fields, terms: list[str]) -> tuple[Any, Any]:
+        """Lit and dark width, weighted by the density where it is not 1."""
+        thins = any(name.startswith("density") for name in terms)
+        if not thins and "top" not in terms:
+            return fields.lit, fields.dark
+        begin, end, altitude, impact = fields.begin, fields.end, fields.altitude, fields.impact
+        dark = None if isinstance(fields.dark_end, float) else (fields.dark_begin, fields.dark_end)
+        if "top" in terms:
+            reach = lengths_to(self.top, altitude, impact)
+            begin, end = jnp.clip(begin, -reach, reach), jnp.clip(end, -reach, reach)
+            dark = dark and (jnp.clip(dark[0], begin, end), jnp.clip(dark[1], begin, end))
+        lit: Any
+        shaded: Any
+        if thins:
+            lit, shaded = columns((begin, end), dark, altitude, impact, self.scale_height)
+        else:
+            shaded = 0.0 if dark is None else dark[1] - dark[0]
+            lit = end - begin if dark is None else (end - dark[1]) + (dark[0] - begin)
+        return lit * fields.per_length, shaded * fields.per_length
+
+
+def _known(kind: type[Look], terms: Iterable[str]) -> list[str]:
+    """The terms, if the look has them."""
+    found = list(terms)
+    for name in found:
+        if name not in kind.TERMS:
+            raise InputError(
+                f"look {kind.NAME}: has no term {name!r}; choose from {', '.join(kind.TERMS)}"
+            )
+    if {"density", "density-rgb"} <= set(found):
+        raise InputError(f"look {kind.NAME}: density and density-rgb are one term; name one")
+    return found
+
+
+@cache
+def _with_terms(terms: tuple[str, ...]) -> type[Look]:
+    """The class of a set of terms, in their order."""
+    if not terms:
+        return AirLook
+    fields = {name: part for term in terms for name, part in _parameters(term).items()}
+    places = any(term != "saturation" for term in terms)
+    facts: dict[str, Any] = {
+        "__module__": __name__,
+        "__doc__": AirLook.__doc__,
+        "__annotations__": {name: annotation for name, (annotation, _) in fields.items()},
+        "NAME": "+".join((AirLook.NAME, *terms)),
+        "NEEDS": PLACES if places else AirLook.NEEDS,
+        "LINEAR_IN": (),
+        "SEPARABLE": None,
+        "ROUNDINGS": (80.0, 28.0) if places else (16.0, 8.0),
+    }
+    name = "_".join((AirLook.__name__, *terms)).replace("-", "_")
+    return type(name, (AirLook,), facts | {name: field for name, (_, field) in fields.items()})
+
+
+def __getattr__(name: str) -> type[Look]:
+    """The class of a set of terms by its name, as unpickling asks for it."""
+    first, *terms = name.split("_")
+    if first == AirLook.__name__ and terms:
+        return AirLook.with_terms(" ".join(terms).replace("density rgb", "density-rgb").split())
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

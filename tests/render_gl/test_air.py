@@ -1,0 +1,135 @@
+"""The shader of the look `air` against its twin, term by term, and where numbers are extreme."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from model_jax import Scene, combine, find_look
+from render_gl import check_scene, read_layers, render, write_layers
+from tests.model_jax.scenes import PLACES, RADIUS, SHAPES, scene_of
+
+VALUES: dict[str, dict[str, Any]] = {
+    "": {},
+    "density": {"scale_height": 8.0},
+    "density-rgb": {"scale_height": (4.0, 8.0, 16.0)},
+    "top": {"top": 60.0},
+    "saturation": {"extinction": (2.0, 5.0, 11.0)},
+    "density+top+saturation": {
+        "scale_height": 8.0,
+        "top": 60.0,
+        "extinction": (20.0, 50.0, 110.0),
+    },
+}
+
+STIFF: dict[str, dict[str, Any]] = {
+    "a film": {"scale_height": 1e-4 * RADIUS},
+    "uniform": {"scale_height": 1e4 * RADIUS},
+    "clear": {"extinction": (0.0, 1e-9, 1e-6)},
+    "opaque": {"extinction": (1e2, 1e4, 1e8)},
+}
+
+
+FEW = ("in shadow and shell", "far, off axis", "thick shell")
+"""Scenes of the quick suite: inside of everything, far away, and a shadow that ends in the air."""
+
+
+def limb(**more: Any) -> Scene:
+    """From 400 km up, past the limb, a shadow in the air."""
+    return scene_of(
+        (1.06, 0.0, 0.0),
+        (0.88, 0.3, 0.0),
+        sun=(-0.3, 0.9, 0.35),
+        shell=100.0 / RADIUS,
+        size=(120, 90),
+        **more,
+    )
+
+
+@pytest.mark.parametrize("source", ["raster", "mesh"])
+@pytest.mark.parametrize("terms", VALUES)
+def test_every_term_agrees_with_its_twin(terms: str, source: Any) -> None:
+    kind = find_look("air" + (terms and f"+{terms}"))
+    parity = check_scene(limb(), kind(**VALUES[terms]), "auto", source).parity
+    assert parity.passed, parity.summary()
+    assert np.any(parity.jax[..., 0])
+
+
+def test_without_a_sun_it_agrees() -> None:
+    kind = find_look("air+density")
+    parity = check_scene(replace(limb(), sun=None), kind()).parity
+    assert parity.passed, parity.summary()
+
+
+@pytest.mark.parametrize("depth_format", ["window24", "reversed32f", "linear"])
+def test_every_format_agrees(depth_format: str) -> None:
+    kind = find_look("air+density+saturation")
+    parity = check_scene(limb(), kind(scale_height=20.0), depth_format).parity
+    assert parity.passed, parity.summary()
+
+
+@pytest.mark.parametrize("case", STIFF)
+def test_extreme_numbers_agree(case: str) -> None:
+    values = STIFF[case]
+    kind = find_look("air+density" if "scale_height" in values else "air+saturation")
+    parity = check_scene(limb(), kind(**values)).parity
+    assert parity.passed, parity.summary()
+
+
+@pytest.mark.parametrize("name", ["scale_height", "top", "extinction", "brightness"])
+def test_a_fault_of_a_percent_in_a_parameter_is_caught(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bound is not so wide that anything passes."""
+    from render_gl import _raster
+
+    drawn = _raster.look_uniforms
+
+    def faulty(look: Any) -> dict[str, Any]:
+        found = drawn(look)
+        if name in found:  # accuracy is measured with another look
+            wrong = np.multiply(found[name], 1.01).tolist()
+            found[name] = tuple(wrong) if isinstance(wrong, list) else wrong
+        return found
+
+    monkeypatch.setattr(_raster, "look_uniforms", faulty)
+    terms = "density+top+saturation"
+    parity = check_scene(limb(), find_look(f"air+{terms}")(**VALUES[terms])).parity
+    assert not parity.passed
+
+
+def test_a_file_of_layers_keeps_how_rays_pass(tmp_path: Any) -> None:
+    """Every digit of it, so that the air's light is the same."""
+    layers, look = render(limb()), find_look("air+density")()
+    write_layers(tmp_path / "layers.exr", layers)
+    again = read_layers(tmp_path / "layers.exr")
+    np.testing.assert_array_equal(combine(again, look), combine(layers, look))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in FEW else pytest.param(name, marks=pytest.mark.full)
+        for name in PLACES | SHAPES
+    ],
+)
+def test_air_that_thins_out_agrees_everywhere(name: str) -> None:
+    given = (PLACES | SHAPES)[name]
+    height = 0.2 * given.atmosphere.height
+    look = find_look("air+density+saturation")(scale_height=height, extinction=(3.0, 6.0, 12.0))
+    parity = check_scene(given, look).parity
+    assert parity.passed, parity.summary()
+
+
+def test_a_picture_of_several_bands_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows of a band know which rows of the picture they are, also where meshes give the depths."""
+    from render_gl import _raster
+
+    given = limb(fov=30.0)
+    given = replace(given, atmosphere=replace(given.atmosphere, path="distance"))
+    monkeypatch.setattr(_raster, "BAND", 64 * given.camera.width)
+    for terms in ("", "density"):
+        kind = find_look("air" + (terms and f"+{terms}"))
+        parity = check_scene(given, kind(), "auto", "mesh").parity
+        assert parity.passed, parity.summary()
