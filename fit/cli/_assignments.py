@@ -16,6 +16,15 @@ from model_jax._errors import InputError, shown
 T = TypeVar("T")
 
 
+def look_of(look: str | None, terms: str | None) -> str | None:
+    """A look's name with its terms, as `find_look` takes it: air+density."""
+    if terms is None:
+        return look
+    if look is None or look.endswith(".py"):
+        raise InputError("--terms: goes with --look and a look that has terms, such as --look air")
+    return "+".join([look, *(term.strip() for term in terms.split(","))])
+
+
 def starts(texts: Sequence[str]) -> dict[str, float]:
     """NAME=VALUE: finite start values."""
     return _each("--start", "NAME=VALUE, such as gamma=1.2", texts, _finite)

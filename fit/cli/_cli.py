@@ -11,13 +11,13 @@ import json
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
 from model_jax._choices import Encoding
 from model_jax._errors import InputError, printable
-from render_gl._choices import DepthFormat, Source
+from render_gl._choices import Source
 from render_gl._files import check_file
 
 from .._choices import JpegHandling, LayerSource, LossName, Sampling, SolverName, Where, check_steps
@@ -26,6 +26,15 @@ from ..report._fitted import read_fit
 from . import _assignments as assignments
 from ._drawing import NOTHING_IN_VIEW, draw_scene, in_view, parse_size, write_png
 from ._guard import command_line, devices_found, guard, tell
+from ._options import (
+    DepthOption,
+    Depths,
+    JsonOption,
+    LookOption,
+    SceneArgument,
+    SourceOption,
+    TermsOption,
+)
 from ._outputs import check_folder, prepare_folder, versions
 from ._progress import computing, console, say
 
@@ -34,26 +43,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Render a planet's atmosphere as depth layers, and fit its look to photos.",
 )
-
-
-Depths = Literal["auto", DepthFormat]
-
-SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
-LookOption = Annotated[
-    str | None,
-    typer.Option(metavar="LOOK", help="A look's name or Python file, in place of the scene's."),
-]
-SourceOption = Annotated[
-    LayerSource,
-    typer.Option(
-        help="Layers by OpenGL: each pixel's own ray (raster) or the paper's meshes; or by JAX."
-    ),
-]
-DepthOption = Annotated[
-    Depths,
-    typer.Option(help="Depth format of the passes; auto is the cheapest that is exact enough."),
-]
 
 
 def main() -> None:
@@ -90,6 +79,7 @@ def render(
         str, typer.Option("-o", "--out", help="OUT.exr: layers and picture; OUT.png: picture only.")
     ],
     look: LookOption = None,
+    terms: TermsOption = None,
     source: SourceOption = "raster",
     depth: DepthOption = "auto",
     size: Annotated[
@@ -111,7 +101,7 @@ def render(
     with computing() as step:
         import render_gl
 
-        file = render_gl.load_scene(scene, look)
+        file = render_gl.load_scene(scene, assignments.look_of(look, terms))
         drawn = file.scene if pixels is None else file.scene.resized(*pixels)
         if source != "analytic":
             choice = render_gl.choose_format(drawn, depth)
@@ -164,6 +154,7 @@ def fit(
         float, typer.Option(help="With log depths: C of log(C z + 1) / log(C far + 1).")
     ] = 1.0,
     look: LookOption = None,
+    terms: TermsOption = None,
     source: Annotated[
         LayerSource | None,
         typer.Option(help="Layers by OpenGL passes (the default), or by exact intersection."),
@@ -245,7 +236,7 @@ def fit(
         far=far,
         encoding=encoding,
         constant=constant,
-        look=look,
+        look=assignments.look_of(look, terms),
         source=source or "raster",
         depth_format=depth or "linear",
         tone_curve=assignments.tone_curve(tone_curve),
@@ -289,6 +280,7 @@ def check(
         str | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for the three EXRs.")
     ] = None,
     look: LookOption = None,
+    terms: TermsOption = None,
     depth: DepthOption = "auto",
     source: Annotated[
         Source,
@@ -303,7 +295,7 @@ def check(
     with computing() as step:
         import render_gl
 
-        file = render_gl.load_scene(scene, look)
+        file = render_gl.load_scene(scene, assignments.look_of(look, terms))
         folder = prepare_folder(out if out is not None else f"{file.path.stem}-check")
         step("drawing and comparing")
         found = render_gl.check_scene(file.scene, file.look, depth, source)

@@ -97,14 +97,17 @@ def _width_slopes(vector: AnyArray, samples: Samples, model: Model, numbers: Any
     def slopes(number: jax.Array) -> jax.Array:
         tile = tile_at(samples, number)
         found = jnp.zeros_like(tile.light)
-        for name in (n for n in WIDTHS if n in tile.fields):
+        for name in (n for n in (*WIDTHS, "begin", "end") if n in tile.fields):
 
             def seen(width: jax.Array, name: str = name) -> jax.Array:
                 fields = tile.fields | {name: width}
                 return predict(vector, replace(tile, fields=fields), model)
 
             width = tile.fields[name]
-            found = jnp.maximum(found, jnp.abs(jax.jvp(seen, (width,), (jnp.ones_like(width),))[1]))
+            unit = 1 / tile.fields["per_length"] if name not in WIDTHS else jnp.ones_like(width)
+            # Where a width is unknown its tile is padding.
+            unit = jnp.where(jnp.isfinite(unit), unit, 0)
+            found = jnp.maximum(found, jnp.abs(jax.jvp(seen, (width,), (unit,))[1]))
         return found
 
     return jax.lax.map(slopes, jnp.asarray(numbers))

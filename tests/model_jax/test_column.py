@@ -122,16 +122,17 @@ def _total(height: Any, near: Any, far: Any, impact: Any) -> Any:
 
 
 @pytest.mark.usefixtures("x64")
-def test_slopes_are_those_of_differences() -> None:
-    """Of the quadrature itself: central differences of 1e-6 are off by 1e-12 and by rounding,
-    1e-16/1e-6, relative to sizes of 1 to 100."""
-    args = [jnp.array([x]) for x in (0.02, -0.3, 0.25, 1.01)]
+@pytest.mark.parametrize("ray", [(0.02, -0.3, 0.25, 1.01), (0.004, -0.6, -0.1, 0.95)])
+def test_slopes_are_those_of_differences(ray: tuple[float, ...]) -> None:
+    """Slopes are taken under the integral, and nodes and cut make an error of 1e-4 in it as in the
+    column; in what the ends do, of a density there."""
+    args = [jnp.array([x]) for x in ray]
     for k in range(4):
         for mode in (jax.jacfwd, jax.jacrev):
             slope = float(mode(_total, argnums=k)(*args)[0])
             up, down = ([a + (i == k) * e for i, a in enumerate(args)] for e in (1e-6, -1e-6))
             difference = float(_total(*up) - _total(*down)) / 2e-6
-            assert slope == pytest.approx(difference, rel=1e-6)
+            assert slope == pytest.approx(difference, rel=2e-4)
 
 
 @pytest.mark.usefixtures("x64")
@@ -139,7 +140,7 @@ def test_second_slopes_exist() -> None:
     args = [jnp.array([x]) for x in (0.02, -0.3, 0.25, 1.01)]
     curved = jax.hessian(lambda h: _total(h, *args[1:]))(args[0])
     up, down = (jax.grad(lambda h: _total(h, *args[1:]))(args[0] + e) for e in (1e-5, -1e-5))
-    assert float(curved[0, 0]) == pytest.approx(float((up - down)[0]) / 2e-5, rel=1e-6)
+    assert float(curved[0, 0]) == pytest.approx(float((up - down)[0]) / 2e-5, rel=1e-5)
 
 
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev], ids=["forward", "reverse"])

@@ -37,6 +37,7 @@ vec3 air(Fields fields, inout float alpha, inout vec3 transmittance) {
     dark = vec3(0.0);
     for (int k = 0; k < PIECES; k++) {
         float one = abs(cuts[k]), other = abs(cuts[k + 1]);
+        if (one == other) continue;
         vec3 here = vec3(max(one, other) - min(one, other));
 #ifdef TERM_DENSITY
         here = vec3(column(min(one, other), max(one, other), fields.altitude, fields.impact,

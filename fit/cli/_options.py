@@ -1,0 +1,32 @@
+"""Options and arguments that several commands have."""
+
+from typing import Annotated, Literal
+
+import typer
+
+from render_gl._choices import DepthFormat
+
+from .._choices import LayerSource
+
+Depths = Literal["auto", DepthFormat]
+
+SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+LookOption = Annotated[
+    str | None,
+    typer.Option(metavar="LOOK", help="A look's name or Python file, in place of the scene's."),
+]
+TermsOption = Annotated[
+    str | None,
+    typer.Option(metavar="A,B", help="What is added to the look, such as density,saturation."),
+]
+SourceOption = Annotated[
+    LayerSource,
+    typer.Option(
+        help="Layers by OpenGL: each pixel's own ray (raster) or the paper's meshes; or by JAX."
+    ),
+]
+DepthOption = Annotated[
+    Depths,
+    typer.Option(help="Depth format of the passes; auto is the cheapest that is exact enough."),
+]
