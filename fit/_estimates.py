@@ -11,10 +11,17 @@ from .diagnose._compression import Debiased, undo_compression
 from .diagnose._evidence import BELIEVED, Evidence, belief_in, explained_share, square_sum_of
 from .diagnose._influence import rounding_bound
 from .diagnose._misfit import Doubts, find_doubts
-from .diagnose._residuals import width_slopes_of
+from .diagnose._patterns import rms
+from .diagnose._residuals import (
+    air_light_of,
+    left_over_of,
+    structured_rms,
+    width_slopes_of,
+)
 from .photo._camera import is_coarse
 from .photo._photo import Photo
 from .photo._pixels import Columns, PhotoLike, Pixels, grey_spread
+from .solve._loss import Loss
 from .solve._parameters import Entries, FitParameter, to_responses
 from .solve._problem import Problem
 from .solve._search import End
@@ -144,8 +151,9 @@ def photo_results(
     """What each photo says of the end point."""
     found = []
     responses = to_responses(end.vector, type(task.look))
-    for c, px, layers, residual, response in zip(
-        problem.columns, pixels, task.layers, residuals, responses, strict=True
+    left_over, air = left_over_of(problem, end.vector), air_light_of(problem, end.vector)
+    for number, (c, px, layers, residual, response) in enumerate(
+        zip(problem.columns, pixels, task.layers, residuals, responses, strict=True)
     ):
         sums = [square_sum_of(channel) for channel in residual.T]
         count, square_sum = sum(n for n, _ in sums), sum(square for _, square in sums)
@@ -156,7 +164,10 @@ def photo_results(
                 clipped=0 if c.clipped is None else int((c.clipped != 0).sum()),
                 mix=c.mix,
                 residual_rms=float(np.sqrt(square_sum / max(count, 1))),
-                explained=explained_share(c.light, residual, problem.model.loss)
+                explained=explained_share(c.light, left_over[number], problem.model.loss)
+                if end.finite
+                else None,
+                structure=_structure(c, residual, air[number], px.used.shape[1], problem.model.loss)
                 if end.finite
                 else None,
                 response=response,
@@ -164,6 +175,19 @@ def photo_results(
             )
         )
     return found
+
+
+def _structure(
+    columns: Columns,
+    residual: Float[np.ndarray, "n 3"],
+    air: Float[np.ndarray, "n 3"],
+    width: int,
+    loss: Loss,
+) -> float | None:
+    """`PhotoResult.structure`; a robust loss's outliers are no structure of the look's."""
+    believed = np.where(belief_in(residual, loss) > BELIEVED, residual, np.nan)
+    light = rms(air)
+    return structured_rms(believed, columns.index, width) / light if light > 0 else None
 
 
 def _interval(p: FitParameter, value: float, reach: float) -> tuple[float, float]:

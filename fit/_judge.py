@@ -6,6 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
+from model_jax import RESPONSE_PARAMETERS, Look
+
 from ._estimates import (
     doubts_of,
     estimate,
@@ -19,11 +21,13 @@ from ._verdict import VERDICTS, Verdict
 from .diagnose._compression import Debiased
 from .diagnose._evidence import Evidence
 from .diagnose._remarks import file_remarks, percent, warnings_of
+from .diagnose._remedy import is_misfit, remedy_of
 from .diagnose._spread import reach_95, spread_of
 from .photo._pixels import Columns, Pixels
 from .solve._parameters import (
     Entries,
     FitParameter,
+    at_least,
     followers,
     free_directions,
     to_entries,
@@ -82,7 +86,7 @@ def judge(
         for flat in end.flat
         for p in flat.held
     ]
-    verdict = _verdict(task, end)
+    verdict = _verdict(task, end, photos)
     responses = to_responses(worth.vector, type(task.look))
     result = FitResult(
         verdict=verdict.label,
@@ -106,7 +110,8 @@ def judge(
         second_opinion=end.second,
         evidence=evidence,
     )
-    message = _message(verdict, result, [p.name for p in end.at_bound])
+    stuck = [p.name for p in end.at_bound if not at_least(p, end.vector)]
+    message = _message(verdict, result, stuck, type(task.look))
     return with_warnings(replace(result, message=message), warnings_of(result, task, residuals))
 
 
@@ -201,16 +206,27 @@ def _estimates(task: Task, end: End, worth: _Worth) -> dict[str, Estimate]:
     return found
 
 
-def _verdict(task: Task, end: End) -> Verdict:
+def _verdict(task: Task, end: End, photos: Sequence[PhotoResult]) -> Verdict:
     if not end.finite:
         return Verdict.DIVERGED
     if not end.settled:
         return Verdict.NOT_CONVERGED
-    if end.at_bound:
-        return Verdict.AT_BOUND
-    identified = {p.name for p in _identified(task, end)}
-    lost = any(p.role == "free" and p.name not in identified for p in task.parameters)
-    return Verdict.NOT_IDENTIFIABLE if task.named and lost else Verdict.CONVERGED
+    stuck = any(not at_least(p, end.vector) for p in end.at_bound)
+    if any(_is_narrowed(p, task) for p in end.at_bound):
+        return Verdict.AT_BOUND  # whatever else: somebody said how far it may go
+    known = {p.name for p in (*_identified(task, end), *end.at_bound)}
+    lost = any(p.role == "free" and p.name not in known for p in task.parameters)
+    if task.named and lost and not stuck:
+        return Verdict.NOT_IDENTIFIABLE
+    if any(is_misfit(photo) for photo in photos):
+        return Verdict.MISFIT
+    return Verdict.AT_BOUND if stuck else Verdict.CONVERGED
+
+
+def _is_narrowed(p: FitParameter, task: Task) -> bool:
+    """Its range is narrower than its own: bounds were asked for."""
+    about = (type(task.look).PARAMETERS | RESPONSE_PARAMETERS)[p.family]
+    return (p.lower, p.upper) != (about.lower, about.upper)
 
 
 def _identified(task: Task, end: End) -> list[FitParameter]:
@@ -249,6 +265,7 @@ def without_data(
             mix=c.mix,
             residual_rms=float("nan"),
             explained=None,
+            structure=None,
             response=response,
             width_unit=float(layers.width_unit),
         )
@@ -278,13 +295,20 @@ def without_data(
     return with_warnings(result, file_remarks(task))
 
 
-def _message(verdict: Verdict, result: FitResult, at_bound: Sequence[str]) -> str:
+def _message(verdict: Verdict, result: FitResult, at_bound: Sequence[str], kind: type[Look]) -> str:
     sentence, remedy = VERDICTS[verdict]
+    if verdict is Verdict.MISFIT:
+        remedy = remedy_of(result, kind)
     if at_bound:
         sentence += f" ({', '.join(at_bound)})"
     if result.explained is not None:
         share = percent(result.explained)
         sentence += f"; it explains {share} of the light's variance in the pixels used"
+    if verdict is Verdict.MISFIT:
+        sentence += (
+            f", and what is left over and hangs together is {percent(result.structure or 0.0)} of "
+            "the air's light; intervals hold for this look only, not for the air"
+        )
     if result.left_out:
         sentence += f"; left out: {', '.join(item.what for item in result.left_out)}"
     return f"{sentence}." + (f" To do: {remedy}." if remedy else "")

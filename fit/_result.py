@@ -48,8 +48,8 @@ class Estimate:
     """How far errors of the layers' meshes can shift the value (first order, all to one side); None
     where the layers are exact, and for what was not fitted."""
     compression_shift: float | None
-    """What was added to the best fit's value for what JPEG did to the photo; None where no photo is
-    a JPEG, and for what was not fitted."""
+    """What was added to the best fit's value for what JPEG did to the photo; None without JPEG, and
+    for what was not fitted."""
     meaning: str
 
     @property
@@ -106,8 +106,12 @@ class PhotoResult:
     residual_rms: float
     """Over measured samples, linear light; NaN without data."""
     explained: float | None
-    """Share of the measured light's variance that the model explains, of what a robust loss did not
-    dismiss as no light of the air; None without variance."""
+    """1 - Σ(y - ŷ)² / Σ(y - mean of the channel)² over all used pixels and channels, linear light,
+    dark codes included; without what a robust loss dismissed as no light of the air. None without
+    variance."""
+    structure: float | None
+    """Root mean square of what is left over and hangs together, over that of what the air changes
+    in the picture; None without air."""
     response: Response
     """The fitted one."""
     mix: Float[np.ndarray, "3 3"] | None
@@ -242,6 +246,12 @@ class FitResult:
         return math.sqrt(squares / sum(counts)) if sum(counts) else math.nan
 
     @property
+    def structure(self) -> float | None:
+        """As `PhotoResult.structure`, of the photo where it is most."""
+        found = [p.structure for p in self.photos if p.structure is not None]
+        return max(found) if found else None
+
+    @property
     def explained(self) -> float | None:
         """Share of the variance explained, of the photo where it is least; None without data."""
         shares = [p.explained for p in self.photos if p.explained is not None]
@@ -261,9 +271,8 @@ class FitResult:
         return self.report()
 
     def __repr__(self) -> str:
-        told = [
-            f"{n} {measured(e.value, e.stderr)}" for n, e in self.parameters.items() if e.stderr
-        ]
+        rows = self.parameters.items()
+        told = [f"{name} {measured(e.value, e.stderr)}" for name, e in rows if e.stderr]
         return f"<FitResult {self.verdict}{': ' if told else ''}{', '.join(told)}>"
 
     def _repr_html_(self) -> str:
@@ -303,8 +312,7 @@ class FitResult:
         Raises:
             InputError: the result comes out of a pickle or is a copy.
         """
-        evidence = self._evidence("weights")
-        if evidence is None:
+        if (evidence := self._evidence("weights")) is None:
             return np.full(self.photos[photo].used.shape, np.nan, np.float32)
         return evidence.weights()[photo]
 
@@ -340,32 +348,21 @@ class FitResult:
             "errors": None
             if self.errors is None
             else {
-                "noise": _number(self.errors.noise),
-                "correlation_px": _number(self.errors.correlation_px),
-                "block_px": self.errors.block_px,
-                "blocks": self.errors.blocks,
-                "effective_samples": _number(self.errors.effective_samples),
+                name: value if isinstance(value, int) else _number(value)
+                for name, value in vars(self.errors).items()
             },
             "residual_rms": _number(self.residual_rms),
             "explained": _number(self.explained),
+            "structure": _number(self.structure),
             "pixels": self.pixels,
             "photos": [
-                {
-                    "pixels": p.pixels,
-                    "residual_rms": _number(p.residual_rms),
-                    "explained": _number(p.explained),
-                    "width_unit": _number(p.width_unit),
-                }
+                {"pixels": p.pixels} | {n: _number(getattr(p, n)) for n in _OF_PHOTO}
                 for p in self.photos
             ],
-            "left_out": [{"what": item.what, "why": item.why} for item in self.left_out],
+            "left_out": [vars(item) for item in self.left_out],
             "misfits": [
-                {
-                    "photo": m.photo + 1,
-                    "cause": m.cause,
-                    "rivals": list(m.rivals),
-                    "share": _number(m.share),
-                }
+                {"photo": m.photo + 1, "cause": m.cause, "rivals": list(m.rivals)}
+                | {"share": _number(m.share)}
                 for m in self.misfits
             ],
             "solver": self.solver,
@@ -374,6 +371,9 @@ class FitResult:
             "second_opinion": self.second_opinion,
             "seconds": {name: _number(value) for name, value in self.seconds.items()},
         }
+
+
+_OF_PHOTO = ("residual_rms", "explained", "structure", "width_unit")
 
 
 def _estimate_dict(e: Estimate) -> dict[str, Any]:

@@ -16,6 +16,7 @@ class Verdict(IntEnum):
     NOT_CONVERGED = 3
     DIVERGED = 4
     NO_DATA = 5
+    MISFIT = 6
 
     @property
     def label(self) -> str:
@@ -46,9 +47,20 @@ VERDICTS: dict[Verdict, tuple[str, str]] = {
         "There is nothing to fit",
         "check the mask, the alignment of photo and layers, and the exposure",
     ),
+    Verdict.MISFIT: (
+        "The look does not match the photo",
+        "look at what is left over, and give the look what it lacks",
+    ),
 }
 """Sentence and remedy of each verdict, without full stops."""
 
+
+LEAST_EXPLAINED = 0.5
+"""Share of the light's variance below which a look does not match a photo: more of it is left over
+than shown. And"""
+MOST_STRUCTURE = 0.4
+"""what is left over and hangs together, as a share of the air's light (root mean squares), above
+which it does not either: nobody would take such pictures for the same."""
 
 WELL_EXPLAINED = 0.9
 """Below this share of the variance the message points at the residual picture: a tenth of the light

@@ -82,6 +82,7 @@ _BACKGROUND = Parameter(
     0.0,
     scale=0.01,
     shape="either",
+    least=0.0,
 )
 
 

@@ -36,6 +36,9 @@ class Parameter:
     """The field of `model_jax.FIELDS` without which it has no effect."""
     source: str = ""
     """Where the default comes from: a document, a table, a measurement."""
+    least: float = -math.inf
+    """A fit goes no lower, unless it starts there or its bounds ask for it: of what may be below in
+    a picture somebody makes, and means something else where a photo seems to want it."""
 
     @property
     def size(self) -> int:
@@ -56,7 +59,13 @@ RESPONSE_PARAMETERS: dict[str, Parameter] = {
     "exposure": Parameter("factor on all light that reaches the camera", "1", 0.0, math.inf, 1.0),
     "gamma": Parameter("exponent left after the photo's tone curve", "1", 0.1, 10.0, 1.0),
     "black_level": Parameter(
-        "recorded value without light", "recorded light", -math.inf, math.inf, 0.0, scale=0.01
+        "recorded value without light",
+        "recorded light",
+        -math.inf,
+        math.inf,
+        0.0,
+        scale=0.01,
+        least=0.0,
     ),
 }
 """Every parameter of `Response` by its field name."""

@@ -1,7 +1,8 @@
 """The command line: `airlight render | fit | check | export | looks | bench | version`.
 
 Exit codes: 0 done (and, with a warning, a fit at a bound); 1 the check failed or the fit has
-another verdict; 2 bad input, in one line on standard error with a remedy; 70 a bug (`_guard`).
+another verdict, such as a look that does not match (--accept-misfit: 0); 2 bad input, in one line
+on standard error with a remedy; 70 a bug (`_guard`).
 
 Nothing that computes is imported here: help, exports and wrong options have their answer before
 JAX, which takes seconds, is asked for (`_progress.computing`).
@@ -206,6 +207,9 @@ def fit(
     ] = "all",
     solver: Annotated[SolverName, typer.Option(help="Of the descent.")] = "lm",
     max_steps: Annotated[int | None, typer.Option(help="Steps the solver may take.")] = None,
+    accept_misfit: Annotated[
+        bool, typer.Option("--accept-misfit", help="Exit 0 though the look does not match.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Fit a look to a photo, or one look to several photos.
@@ -269,7 +273,7 @@ def fit(
         print_fit(console(), document, out)
     if result.verdict == "at_bound":
         tell("warning: the best fit lies at a bound")
-    elif result.verdict != "converged":
+    elif result.verdict != "converged" and not (accept_misfit and result.verdict == "misfit"):
         raise SystemExit(1)
 
 

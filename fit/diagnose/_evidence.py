@@ -91,7 +91,11 @@ def _belief(residual: Float[AnyArray, "n 3"], loss: Loss) -> Float[jax.Array, "n
 def explained_share(
     light: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, "n 3"], loss: Loss
 ) -> float | None:
-    """Share of the light's variance, of measured samples that a robust loss does not dismiss."""
+    """`PhotoResult.explained`.
+
+    Args:
+        residual: of all samples (`left_over_of`); NaN in those that do not count.
+    """
     believed = belief_in(residual, loss) > BELIEVED
     left, total = 0.0, 0.0
     for k in range(3):

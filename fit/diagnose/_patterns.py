@@ -63,6 +63,9 @@ def _air(patch: Patch) -> list[np.ndarray]:
         width = patch.columns.fields.get(name)
         if width is not None and width.any():
             found.append(patch.light * (width / width.max())[:, None])
+    height = patch.columns.fields.get("altitude")
+    if height is not None and height.any():
+        found.append(patch.light * (height / np.abs(height).max())[:, None])
     return found
 
 

@@ -25,7 +25,7 @@ from ..solve._task import Task
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
 from ._evidence import BELIEVED, CHUNK, Evidence, explained_share
 from ._patterns import CAUSES
-from ._residuals import residuals_of
+from ._residuals import left_over_of
 
 _NO_RING = {"no air", UNKNOWN_SURFACE, "in front of space"}
 """Reasons of all pixels where none with air in front of space is asked for and there."""
@@ -210,7 +210,7 @@ def _shares(columns: Sequence[Columns], evidence: Evidence | None) -> list[list[
     """What a fit explains of the light of other pixels; nothing is said of none."""
     if evidence is None or not any(len(c.index) for c in columns):
         return [[] for _ in columns]
-    left = residuals_of(evidence.problem.beside(columns), evidence.point.vector)
+    left = left_over_of(evidence.problem.beside(columns), evidence.point.vector)
     loss = evidence.problem.model.loss
     return [
         [explained_share(c.light, residual, loss)] if len(c.index) else []
@@ -262,7 +262,7 @@ def warnings_of(
             "luminance (ITU-R BT.709). What other weights would change is in "
             + (f"{fact.amplitude}'s interval." if fact is not None else "no interval.")
         )
-    found += _value_warnings(result)
+    found += _value_warnings(result, task.parameters)
     lossy = any(isinstance(p, Photo) and p.lossy for p in task.photos)
     if lossy and identified and not debiased:
         asked = task.jpeg == "undo"
@@ -274,12 +274,19 @@ def warnings_of(
     return found
 
 
-def _value_warnings(result: FitResult) -> list[str]:
+def _value_warnings(result: FitResult, parameters: Sequence[FitParameter]) -> list[str]:
     """What is said of values: negative, at a bound's edge, or moved by the layers' own errors."""
     found = []
     negative = [n for n, e in result.parameters.items() if e.stderr and e.value + 3 * e.stderr < 0]
     if any(name.startswith("background") for name in negative):
         found.append("The background came out negative: the model takes light away.")
+    ends = ((p, result.parameters[p.name]) for p in parameters)
+    zero = [p.name for p, e in ends if e.role == "at_bound" and e.value == p.least > p.lower]
+    if zero:
+        found.append(
+            f"Held at 0, for the best fit would take light away there: {', '.join(zero)}. Air that "
+            "thins out otherwise than this look's, or the photo's tone curve, looks like that."
+        )
     if levels := [name for name in negative if name.startswith("black_level")]:
         found.append(
             f"Negative by more than three standard errors: {', '.join(levels)}. The model takes "

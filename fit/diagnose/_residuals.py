@@ -6,7 +6,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from model_jax._fields import WIDTHS
 from model_jax._shapes import AnyArray
@@ -24,11 +24,30 @@ _GROUP = 8
 def residuals_of(problem: Problem, vector: Entries) -> list[Float[np.ndarray, "_ 3"]]:
     """Recorded minus predicted light of each photo's used samples; NaN where one is clipped, or a
     copy."""
+    found = left_over_of(problem, vector)
+    for c, residual in zip(problem.columns, found, strict=True):
+        if c.clipped is not None:
+            residual[c.clipped != 0] = np.nan
+    return found
+
+
+def left_over_of(problem: Problem, vector: Entries) -> list[Float[np.ndarray, "_ 3"]]:
+    """The same of all used samples: a dark code's light is its bound, and of a brightest one only
+    what is missing to it is left over. NaN in copies."""
     found = _differences(problem, vector)
     for c, residual in zip(problem.columns, found, strict=True):
         residual[:, c.copies] = np.nan
         if c.clipped is not None:
-            residual[c.clipped != 0] = np.nan
+            residual[(c.clipped > 0) & (residual < 0)] = 0
+    return found
+
+
+def air_light_of(problem: Problem, vector: Entries) -> list[Float[np.ndarray, "_ 3"]]:
+    """What the air changes in the predicted light of each photo's used samples; NaN in copies."""
+    samples, model = replace(problem.samples, clipped=None), problem.model
+    found = _by_photo(problem, lambda tiles: _air_light(vector, samples, model, tiles))
+    for c, light in zip(problem.columns, found, strict=True):
+        light[:, c.copies] = np.nan
     return found
 
 
@@ -69,6 +88,32 @@ def _by_photo(
     return found
 
 
+def structured_rms(
+    residual: Float[np.ndarray, "n 3"], index: Int[np.ndarray, " n"], width: int
+) -> float:
+    """Root mean square of what hangs together in a residual: the mean product of neighbours, to
+    which noise that is each pixel's own adds nothing; of those to the right or of those below, as
+    which is more, for structure may be narrow across.
+
+    Args:
+        residual: NaN where it is not known.
+        index: flat indices of the pixels, each once.
+        width: of the picture.
+    """
+    order = np.argsort(index)
+    place, known = index[order], residual[order].astype(np.float64)
+    most = 0.0
+    for step in (1, width):
+        at = np.minimum(np.searchsorted(place, place + step), len(place) - 1)
+        beside = place[at] == place + step
+        if step == 1:
+            beside &= place % width != width - 1
+        products = known[beside] * known[at[beside]]
+        products = products[np.isfinite(products)]
+        most = max(most, float(products.mean())) if products.size else most
+    return float(np.sqrt(most))
+
+
 def square_sum_of(values: Float[np.ndarray, " n"]) -> tuple[int, float]:
     """Number and square sum of what is no NaN."""
     known = values[np.isfinite(values)].astype(np.float64)
@@ -90,6 +135,15 @@ def _residuals(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArr
         return tile.light - predict(vector, tile, model)
 
     return jax.lax.map(residual, jnp.asarray(numbers))
+
+
+@program
+def _air_light(vector: AnyArray, samples: Samples, model: Model, numbers: AnyArray) -> jax.Array:
+    def light(number: jax.Array) -> jax.Array:
+        tile = tile_at(samples, number)
+        return predict(vector, tile, model) - predict(vector, tile, model, bare=True)
+
+    return jax.lax.map(light, jnp.asarray(numbers))
 
 
 @program

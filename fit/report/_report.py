@@ -47,6 +47,7 @@ TONES = {
     "not_converged": ("bad", "Not converged"),
     "diverged": ("bad", "Diverged"),
     "no_data": ("bad", "No data"),
+    "misfit": ("bad", "The look does not match"),
 }
 """Banner colour and heading of each verdict."""
 

@@ -1,5 +1,6 @@
 """From what a caller asks to `FitParameter` records: what is free, bounded, tied, known before."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -67,6 +68,8 @@ def declare(
     tied: Mapping[str, str] | None = None,
 ) -> tuple[FitParameter, ...]:
     """Records of all parameters, checked.
+
+    What starts at its `least` or above, and has no bounds of its own, stays there.
 
     Args:
         free: names or families to fit; None means `default_free`.
@@ -157,6 +160,7 @@ def _unchanged(look: Look, responses: Sequence[Response]) -> list[FitParameter]:
                 order=orders[family],
                 mean_one=about.mean_one,
                 needs=about.of,
+                least=about.least if value >= about.least else -math.inf,
             )
         )
 
@@ -204,7 +208,7 @@ def _bounded(p: FitParameter, lower: float, upper: float) -> FitParameter:
             f"bounds: {p.name} from {lower:g} to {upper:g} leaves no room in its range "
             f"{p.lower:g} to {p.upper:g}; give a lower bound below the upper one, inside the range"
         )
-    return replace(p, lower=low, upper=high)
+    return replace(p, lower=low, upper=high, least=-math.inf)
 
 
 def _prior(name: str, mean: float, sigma: float) -> Prior:
@@ -251,4 +255,5 @@ def _tie(parameters: dict[str, FitParameter], tied: Mapping[str, str]) -> None:
             value=master.value,
             lower=master.lower,
             upper=master.upper,
+            least=master.least,
         )

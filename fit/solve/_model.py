@@ -37,12 +37,17 @@ class Model(eqx.Module):
         return self.straight and self.layout.is_linear
 
 
-def predict(entries: Float[AnyArray, " e"], tile: Tile, model: Model) -> Float[jax.Array, "3 n"]:
-    """Recorded light of a tile's pixels: `model_jax.composite` without alpha, then `record`."""
+def predict(
+    entries: Float[AnyArray, " e"], tile: Tile, model: Model, *, bare: bool = False
+) -> Float[jax.Array, "3 n"]:
+    """Recorded light of a tile's pixels: `model_jax.composite` without alpha, then `record`.
+
+    `bare`: as if there were no air.
+    """
     entries = jnp.asarray(entries)
     look = model.layout.look(entries)
     one = jnp.ones_like(tile.weight) if tile.one is None else tile.one
-    air = _air(look, tile, model)
+    air = Air(jnp.zeros_like(tile.light), None, None) if bare else _air(look, tile, model)
     background = jnp.broadcast_to(look.background, (3,))[:, None] * one[None, :]
     dims = model.layout.dims  # then the surface is as it is, else what its channels show of it
     light = compose(air, tile.surface if dims else None, background, look.BLEND)

@@ -9,6 +9,7 @@ a shared number moves its entries together, tied parameters move together, and f
 one keep their sum.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -61,6 +62,13 @@ class FitParameter:
     tied_to: str | None = None
     """The parameter it equals."""
     prior: Prior | None = None
+    least: float = -math.inf
+    """What a fit does not go below, though its range does: nobody asked for less."""
+
+    @property
+    def floor(self) -> float:
+        """The least value that a fit ends at."""
+        return max(self.lower, self.least)
 
     def of(self, vector: Float[np.ndarray, "e ..."]) -> Any:
         """Its number in a vector, its row in a matrix."""
@@ -207,6 +215,11 @@ def chart(
         total=total or float(members.sum()),
         start=np.concatenate([start, from_shares(factors, basis)]),
     )
+
+
+def at_least(p: FitParameter, vector: Entries) -> bool:
+    """It stands where no light is taken away, and its range would go on: no fault of the fit."""
+    return bool(p.of(vector) == p.least > p.lower)
 
 
 def is_outside(vector: Entries, free: Sequence[FitParameter]) -> bool:

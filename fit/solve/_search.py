@@ -28,6 +28,8 @@ from ._starts import start_vectors
 
 _NEAR = 1e-3
 """Distance from a bound, in typical sizes, from which it is tried there."""
+_ROUNDED = 1e-6
+"""How far below its least value, in typical sizes, rounding may bring what is there."""
 _OPINIONS = 2
 """How often a second descent that ends lower becomes the first."""
 
@@ -114,6 +116,13 @@ def search(  # long: one loop, and each of its branches changes what the next ro
             else:
                 inside |= {p.name for p in near}
                 held, candidates = vector, [vector]
+            continue
+        low = [p for p in free if p.of(vector) < p.least - _ROUNDED * p.scale]
+        if low:
+            held = _at_least(vector, low, parameters)
+            at_bound, free = at_bound + low, [p for p in free if p not in low]
+            held = settle_shares(held, free, parameters)
+            candidates = [_best_from(problem, held, free, method, max_steps)]
             continue
         loose = _loose(problem, vector, free, at_bound, margin)
         if loose is not None and loose.name not in inside:
@@ -215,7 +224,7 @@ def _loose(
             others = [q.entries[0] for q in free if q.mean_one]
             directions[others, 0] -= vector[others] / (vector[others].sum() or 1.0)
         curved, slope = problem.gram(vector, directions)[0]
-        inward = slope if p.of(vector) <= p.lower else -slope
+        inward = slope if p.of(vector) <= p.floor else -slope
         if inward < 0 and slope**2 > margin * curved:
             return p
     return None
@@ -230,6 +239,17 @@ def _at_bounds(
         for q in parameters:
             if q is p or q.tied_to == p.name:
                 held[list(q.entries)] = p.lower if low else p.upper
+    return held
+
+
+def _at_least(
+    vector: Entries, low: Sequence[FitParameter], parameters: Sequence[FitParameter]
+) -> Entries:
+    held = vector.copy()
+    for p in low:
+        for q in parameters:
+            if q is p or q.tied_to == p.name:
+                held[list(q.entries)] = p.least
     return held
 
 

@@ -288,9 +288,10 @@ def test_black_samples_tell_a_bound(tmp_path: Path) -> None:
     layers, ring = air()
     assert photo.codes is not None
     assert (photo.codes == 0)[ring].mean() > 0.05
+    below = {"background": (-1.0, 1.0)}
     result, believed = (
-        fit(photo, layers, START, sampling="point"),
-        fit(photo.linear, layers, START, sampling="point"),
+        fit(photo, layers, START, sampling="point", bounds=below),
+        fit(photo.linear, layers, START, sampling="point", bounds=below),
     )
     for name, true in {**VALUES, "background": -0.1}.items():
         estimate = result.parameters[name]

@@ -28,7 +28,7 @@ from .looks import START, exact_layers, scene, to_values
 TRUTH = LayersLook(3.0, 0.2, (0.8, 0.9, 1.3))
 """Brightness by the first layers' unit. The background is the black levels' affair."""
 
-RESPONSES = (Response(1.0, black_level=0.01), Response(2.5, black_level=-0.02))
+RESPONSES = (Response(1.0, black_level=0.01), Response(2.5, black_level=0.02))
 SHARED = ("shadow", "tint.r", "tint.g", "tint.b")
 NOISE = 0.02
 
@@ -83,7 +83,7 @@ def noisy(both: tuple[Layers, Layers]) -> FitResult:
 
 def true_values() -> dict[str, float]:
     tints = dict(zip(("tint.r", "tint.g", "tint.b"), (0.8, 0.9, 1.3), strict=True))
-    levels = {"black_level.1": 0.01, "black_level.2": -0.02}
+    levels = {"black_level.1": 0.01, "black_level.2": 0.02}
     return {"brightness": 3.0, "shadow": 0.2, "exposure.2": 2.5, **tints, **levels}
 
 
@@ -213,7 +213,7 @@ def test_shadow_seen_by_the_second_photo_only(both: tuple[Layers, Layers]) -> No
 def test_gamma_of_one_camera(both: tuple[Layers, Layers]) -> None:
     """Both photos by one camera, whose gamma is found and the same in both."""
     unit = float(both[0].width_unit)
-    cameras = [Response(1.0, 1.8, 0.01), Response(2.5, 1.8, -0.02)]
+    cameras = [Response(1.0, 1.8, 0.01), Response(2.5, 1.8, 0.02)]
     photos = [shoot(la, camera, unit) for la, camera in zip(both, cameras, strict=True)]
     free = ("brightness", "shadow", "tint", "black_level", "exposure.2", "gamma")
     result = fit(photos, both, START, free=free, tied={"gamma.2": "gamma.1"})

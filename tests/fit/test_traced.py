@@ -69,7 +69,7 @@ def test_a_bound_is_told_as_in_a_loop(
     )
     noise = np.random.default_rng(3).normal(scale=NOISE, size=some.shape)
     photo = (some - 1.5 * (more - some) + noise).astype(np.float32)  # at a weight of -0.1
-    known = fit(photo, layers, START)
+    known = fit(photo, layers, START, bounds={"background": (-1.0, 1.0)})
     assert known.verdict == "at_bound"
     traced = jax.tree.map(lambda of_four: of_four[0], fit_four(np.stack([photo] * 4)))
     assert int(traced.verdict) == Verdict.AT_BOUND

@@ -156,7 +156,8 @@ def test_the_advice_for_a_crop_holds(clean: np.ndarray, layers: Layers) -> None:
 
 def test_negative_black_levels_are_warned_of(clean: np.ndarray, layers: Layers) -> None:
     photos = [noisy(clean), noisy(1.1 * clean - 0.05)]
-    (warning,) = fit(photos, [layers, layers], START).warnings
+    below = {"black_level": (-1.0, 1.0)}
+    (warning,) = fit(photos, [layers, layers], START, bounds=below).warnings
     assert warning.startswith("Negative by more than three standard errors: black_level.2.")
 
 
@@ -233,7 +234,8 @@ def test_fit_json_holds_the_same_sentences(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clean: np.ndarray
 ) -> None:
     """Message and warnings of a result are those of its document."""
-    result = fit(noisy(clean - 0.05), analytic_layers(scene()), START)
+    below = {"background": (-1.0, 1.0)}
+    result = fit(noisy(clean - 0.05), analytic_layers(scene()), START, bounds=below)
     document = json.loads(json.dumps(result.to_dict()))
     assert document["warnings"] == list(result.warnings)
     assert any("came out negative" in text for text in document["warnings"])

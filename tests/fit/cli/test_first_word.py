@@ -202,7 +202,7 @@ finally:
 """
 
 
-DEMO = ("fit", SCENE, PHOTO, "-o", "demo")
+DEMO = ("fit", SCENE, PHOTO, "-o", "demo", "--accept-misfit")
 
 
 def counted(folder: Path, *words: object, **variables: str) -> tuple[int, int]:

@@ -57,7 +57,13 @@ ERRORS = {
 
 def photo_row(**changes: Any) -> dict[str, Any]:
     """What the document says of one photo."""
-    row = {"pixels": PIXELS, "residual_rms": 0.00418, "explained": 0.9981, "width_unit": 5.5}
+    row = {
+        "pixels": PIXELS,
+        "residual_rms": 0.00418,
+        "explained": 0.9981,
+        "structure": 0.01,
+        "width_unit": 5.5,
+    }
     return row | changes
 
 
@@ -76,6 +82,7 @@ def document(**changes: Any) -> dict[str, Any]:
         "errors": ERRORS,
         "residual_rms": 0.00418,
         "explained": 0.9981,
+        "structure": 0.01,
         "look": look_record(LayersLook()),
         "per_length": {"brightness": 0.5477},
         "width_unit": 5.5,
@@ -96,6 +103,7 @@ NOTHING: dict[str, Any] = {
     "correlation": {"names": [], "matrix": []},
     "residual_rms": None,
     "explained": None,
+    "structure": None,
     "history": [],
     "photos": [photo_row(residual_rms=None, explained=None)],
 }

@@ -237,10 +237,15 @@ def test_verdicts_of_bad_ends(layers: Layers, photo: np.ndarray) -> None:
     """The judgement itself, on made-up ends."""
     result = fit(photo, layers, LOOK, free=("brightness", "background"))
     task, end, problem = (getattr(result.evidence, n) for n in ("task", "end", "problem"))
-    assert _verdict(task, end).label == "converged"
-    assert _verdict(task, replace(end, finite=False)).label == "diverged"
-    assert _verdict(task, replace(end, settled=False)).label == "not_converged"
+    assert _verdict(task, end, result.photos).label == "converged"
+    assert _verdict(task, replace(end, finite=False), result.photos).label == "diverged"
+    assert _verdict(task, replace(end, settled=False), result.photos).label == "not_converged"
     bound = replace(end, at_bound=end.free[:1])
-    assert _verdict(task, bound).label == "at_bound"
-    assert _verdict(task, replace(bound, settled=False)).label == "not_converged"
+    assert _verdict(task, bound, result.photos).label == "at_bound"
+    assert _verdict(task, replace(bound, settled=False), result.photos).label == "not_converged"
+    photo_result = result.photos[0]
+    for poor in (replace(photo_result, explained=0.4), replace(photo_result, structure=0.5)):
+        bad = [poor]
+        assert _verdict(task, bound, bad).label == "misfit"
+        assert _verdict(task, replace(end, settled=False), bad).label == "not_converged"
     assert not is_settled(problem, np.full_like(end.gram, np.nan))
