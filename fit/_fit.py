@@ -117,7 +117,8 @@ def fit(
             None means the look, and with several photos also black levels and exposures but the
             first.
         response: start values of each photo's response, or one for all.
-        bounds: name → (lower, upper), narrower than the parameter's own.
+        bounds: name → (lower, upper), narrower than the parameter's own. Background and black level
+            end at 0 where they would end below, unless they start there or have bounds.
         priors: name → (mean, standard deviation) known before.
         tied: name → name it shall equal, of the same kind: `{"gamma.2": "gamma.1"}`.
         loss: "linear" (least squares), "huber", "soft_l1" or "cauchy"; the robust ones doubt
@@ -137,7 +138,8 @@ def fit(
         A `FitResult`; that a photo cannot be fitted is its verdict, not an error. All computing is
         in float64, whatever the layers' type and JAX's setting. Under `jax.vmap`, `jit` or `grad`,
         where photo, look or response is traced: a `TracedFit`, arrays only, of one photo by plain
-        least squares, in JAX's precision; it is differentiable by all three.
+        least squares, in JAX's precision; it is differentiable by all three, says nothing of
+        misfit, and its levels may end below 0.
 
     Raises:
         InputError: an argument of the wrong kind (a path, a scene …), traced layers, sizes that
