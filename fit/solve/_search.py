@@ -9,7 +9,7 @@ sum that one more Gauss–Newton step promises, at a bound by the sign of the sl
 opinion (`_opinion`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -20,7 +20,15 @@ from .._compile import float64
 from ._descend import Descent, Solver, descend, make_solver, square_sums
 from ._flat import Flat, find_flat
 from ._opinion import second_opinion
-from ._parameters import Entries, FitParameter, chart, free_directions, is_outside, settle_shares
+from ._parameters import (
+    Entries,
+    FitParameter,
+    chart,
+    followers,
+    free_directions,
+    is_outside,
+    settle_shares,
+)
 from ._polish import CHECK, finish, is_settled, put_inside, sample_variance
 from ._problem import Point, Problem
 from ._samples import Samples
@@ -119,7 +127,7 @@ def search(  # long: one loop, and each of its branches changes what the next ro
             continue
         low = [p for p in free if p.of(vector) < p.least - _ROUNDED * p.scale]
         if low:
-            held = _at_least(vector, low, parameters)
+            held = _placed(vector, {p: p.least for p in low}, parameters)
             at_bound, free = at_bound + low, [p for p in free if p not in low]
             held = settle_shares(held, free, parameters)
             candidates = [_best_from(problem, held, free, method, max_steps)]
@@ -233,23 +241,21 @@ def _loose(
 def _at_bounds(
     vector: Entries, stuck: Sequence[FitParameter], parameters: Sequence[FitParameter]
 ) -> Entries:
-    held = vector.copy()
-    for p in stuck:
-        low = abs(float(p.of(vector)) - p.lower) <= abs(p.upper - float(p.of(vector)))
-        for q in parameters:
-            if q is p or q.tied_to == p.name:
-                held[list(q.entries)] = p.lower if low else p.upper
-    return held
+    def nearer(p: FitParameter) -> float:
+        value = float(p.of(vector))
+        return p.lower if abs(value - p.lower) <= abs(p.upper - value) else p.upper
+
+    return _placed(vector, {p: nearer(p) for p in stuck}, parameters)
 
 
-def _at_least(
-    vector: Entries, low: Sequence[FitParameter], parameters: Sequence[FitParameter]
+def _placed(
+    vector: Entries, values: Mapping[FitParameter, float], parameters: Sequence[FitParameter]
 ) -> Entries:
+    """The vector with some parameters, and what is tied to them, at values."""
     held = vector.copy()
-    for p in low:
-        for q in parameters:
-            if q is p or q.tied_to == p.name:
-                held[list(q.entries)] = p.least
+    for p, value in values.items():
+        for q in followers(p, parameters):
+            held[list(q.entries)] = value
     return held
 
 

@@ -6,8 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model_jax import Scene, combine, find_look
-from render_gl import check_scene, read_layers, render, write_layers
+from model_jax import InputError, Scene, combine, find_look
+from render_gl import (
+    check_scene,
+    read_channels,
+    read_layers,
+    render,
+    write_channels,
+    write_layers,
+)
 from tests.model_jax.scenes import PLACES, RADIUS, SHAPES, scene_of
 
 VALUES: dict[str, dict[str, Any]] = {
@@ -105,6 +112,18 @@ def test_a_file_of_layers_keeps_how_rays_pass(tmp_path: Any) -> None:
     write_layers(tmp_path / "layers.exr", layers)
     again = read_layers(tmp_path / "layers.exr")
     np.testing.assert_array_equal(combine(again, look), combine(layers, look))
+
+
+@pytest.mark.parametrize("text", ["no JSON", "[]", '{"aim": {}}', '{"aim": 1, "pixel": 2}'])
+def test_damaged_rays_are_refused_by_name(text: str, tmp_path: Any) -> None:
+    write_layers(tmp_path / "layers.exr", render(limb()))
+    channels, header = read_channels(tmp_path / "layers.exr")
+    kept = {name: header[name] for name in ("airlight.depth", "airlight.width_unit")}
+    write_channels(tmp_path / "damaged.exr", channels, {**kept, "airlight.rays": text})
+    with pytest.raises(
+        InputError, match=r"damaged\.exr: airlight\.rays is .*; write the file anew"
+    ):
+        read_layers(tmp_path / "damaged.exr")
 
 
 @pytest.mark.parametrize(
