@@ -22,7 +22,7 @@ from ._layers import Layers
 from ._look import Look
 from ._scene import Scene
 from ._shapes import AnyArray, is_traced, namespace
-from ._view import Aim, View, eye_center, pixel_grid, pixel_slopes, ray_offsets, rays_of, view_of
+from ._view import Aim, View, eye_center, pixel_grid, pixel_slopes, ray_offsets, view_of
 
 BAND = 2**18
 """Pixels looked at at once where all are asked: some MB for each float64 quantity."""
@@ -84,7 +84,7 @@ def analytic_layers(
         color=scene.atmosphere.color,
         reference=eye_center(scene)[2],
         width_unit=camera.far - camera.near,
-        rays=rays_of(scene),
+        view=view_of(scene),
         stretch=jnp.asarray(_stretch(scene, dtype))
         if scene.atmosphere.path == "distance"
         else None,

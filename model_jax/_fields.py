@@ -136,8 +136,8 @@ def _places(
 
     Twin: `main` in `combine.frag`.
     """
-    rays, front = layers.rays, jnp.asarray(layers.front)
-    if rays is None:
+    view, front = layers.view, jnp.asarray(layers.front)
+    if view is None:
         asked = next(name for name in needs if name in PLACES)
         raise InputError(
             "layers: do not tell how rays pass the planet, which the look asks for (its field "
@@ -145,16 +145,16 @@ def _places(
             "another look"
         )
     dtype = front.dtype
-    # In float64 where the rays are plain numbers: heights are small differences of large ones.
+    # In float64 where the view is of plain numbers: heights are small differences of large ones.
     height, width = front.shape
     column, row = pixel_grid(height, width, np.float64) if at is None else at
-    x, y = pixel_slopes(rays, column, row)
-    mx, my = ray_offsets(rays.aim, column, row)
+    x, y = pixel_slopes(view, column, row)
+    mx, my = ray_offsets(view.aim, column, row)
     squared, dd = squared_miss_distance(x, y, mx, my)
     xp = namespace(squared)
     impact, slant = safe_sqrt(squared), xp.sqrt(dd)
-    nearest = rays.depth - layers.reference - rays.radius * (mx * x + my * y) / dd
-    altitude = (squared - 1) / (impact + 1) * rays.radius
+    nearest = view.depth - layers.reference - view.radius * (mx * x + my * y) / dd
+    altitude = (squared - 1) / (impact + 1) * view.radius
 
     def here(value: Any) -> AnyArray:
         return jnp.broadcast_to(jnp.asarray(value, dtype), front.shape)
@@ -168,7 +168,7 @@ def _places(
         "begin": along(front),
         "end": along(back),
         "altitude": here(altitude),
-        "impact": here(impact * rays.radius),
+        "impact": here(impact * view.radius),
         "per_length": here(1 / unit),
     }
     begin, until = layers.shadow_front, layers.shadow_back

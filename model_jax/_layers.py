@@ -19,7 +19,7 @@ from ._errors import InputError, shown
 from ._kinds import as_jax, need, need_array, need_number
 from ._safe import is_host
 from ._shapes import AnyArray, Depth, Four, Mask, Rgb, Scalar, Shadows, converter
-from ._view import Rays
+from ._view import View
 
 _MAPS = ("front", "back", "shadow_front", "shadow_back", "planet", "stretch", "width_error")
 """Fields of `Layers` that end in rows and columns."""
@@ -59,9 +59,9 @@ class Layers(eqx.Module):
     width_error: Float[AnyArray, "h w"] | None = None
     """How far widths may be off by what drew the layers, scene length units; `None`: they are as
     exact as their numbers."""
-    rays: Rays | None = None
-    """How the pixels' rays pass the planet, which tells how high their air is; `None` when nobody
-    knows."""
+    view: View | None = None
+    """How the pixels' rays pass planet, shell and shadows, which tells how high their air is, and
+    what lies between pixels; `None` when nobody knows."""
 
     def __check_init__(self) -> None:
         if np.shape(self.color) != (4,):
@@ -93,11 +93,11 @@ class Layers(eqx.Module):
         some: dict[str, Any] = {
             name: part[..., band, :] for name, part in maps.items() if part is not None
         }
-        rays = (
-            None if self.rays is None else self.rays.from_pixel(0, range(len(self.front))[band][0])
+        view = (
+            None if self.view is None else self.view.from_pixel(0, range(len(self.front))[band][0])
         )
         surface = None if self.surface is None else self.surface[band]
-        return replace(self, surface=surface, rays=rays, **some)
+        return replace(self, surface=surface, view=view, **some)
 
     @property
     def has_air(self) -> Mask:

@@ -64,34 +64,6 @@ class Body(eqx.Module):
     radius: Scalar
 
 
-class Rays(eqx.Module):
-    """How the rays of a picture pass the planet, in a few numbers; whatever made its depths."""
-
-    pixel: Scalar
-    """Side of a pixel on the plane at eye depth 1."""
-    principal: Float[AnyArray, "2"]
-    """Column and row index of the optical axis."""
-    aim: Aim
-    """At the planet's centre, planet radii."""
-    radius: Scalar
-    """The planet's mean radius, scene length units."""
-    depth: Scalar
-    """Eye depth of the planet's centre, scene length units."""
-
-    def from_pixel(self, column: int, row: int) -> "Rays":
-        """Those of a window of the picture, which begins at that pixel."""
-        first = np.asarray([float(column), float(row)])
-        aim = replace(self.aim, anchor=self.aim.anchor - first)
-        return replace(self, principal=self.principal - first, aim=aim)
-
-
-def rays_of(scene: Scene) -> Rays:
-    """The rays of a scene's camera: float64 of plain numbers, traced of traced ones."""
-    view = view_of(scene)
-    radius = scene.planet.radius
-    return Rays(view.pixel, view.principal, view.aim, radius, view.aim.center[2] * radius)
-
-
 class View(eqx.Module):
     """Per-scene numbers of the per-pixel kernels; all leaves in one dtype after `astype`."""
 
@@ -111,6 +83,13 @@ class View(eqx.Module):
     cones: tuple[ShadowCone, ...]
     """Shadow volumes: the planet's first."""
     occluders: tuple[Body, ...]
+    radius: Scalar
+    """The planet's mean radius, scene length units."""
+
+    @property
+    def depth(self) -> Scalar:
+        """Eye depth of the planet's centre, scene length units."""
+        return self.aim.center[2] * self.radius
 
     def from_pixel(self, column: int, row: int) -> "View":
         """The view whose first pixel is this one's pixel there: a window of the picture."""
@@ -153,6 +132,7 @@ def view_of(scene: Scene) -> View:
         shell=1.0 + scene.atmosphere.height / radius,
         cones=_cones(scene),
         occluders=_bodies(scene),
+        radius=radius,
     )
 
 
@@ -175,7 +155,7 @@ def pixel_grid(height: int, width: int, dtype: DTypeLike) -> tuple[AnyArray, Any
     return np.arange(width, dtype=dtype)[None, :], np.arange(height, dtype=dtype)[:, None]
 
 
-def pixel_slopes(view: "View | Rays", column: AnyArray, row: AnyArray) -> tuple[AnyArray, AnyArray]:
+def pixel_slopes(view: View, column: AnyArray, row: AnyArray) -> tuple[AnyArray, AnyArray]:
     """x and y of the rays `(x, y, 1)` through the centres of pixels.
 
     Twin: `ray_direction` in `rays.glsl`.

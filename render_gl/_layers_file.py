@@ -4,8 +4,8 @@
     shadow2_front.Z  shadow2_back.Z  …               further shadows
     surface.R/G/B   planet.A   stretch.Y   width_error.Y   R G B A   optional, as layers have them
 
-Header: airlight.reference, airlight.width_unit, airlight.color, airlight.rays (JSON: how the
-pixels' rays pass the planet, `model_jax.Layers.rays`), airlight.near, airlight.far,
+Header: airlight.reference, airlight.width_unit, airlight.color, airlight.view (JSON: how the
+pixels' rays pass planet and shadows, `model_jax.Layers.view`), airlight.near, airlight.far,
 airlight.depth ("eye", "window", "reversed" or "log"), airlight.scene (JSON) and
 airlight.scene_hash.
 
@@ -25,7 +25,7 @@ from model_jax import ENCODINGS, DepthTextures, Encoding, InputError, Layers, Sc
 from model_jax._errors import shown
 from model_jax._kinds import need, need_array, need_number
 from model_jax._shapes import Rgba
-from model_jax._view import Aim, Rays
+from model_jax._view import Aim, Body, ShadowCone, View
 
 from ._encoding import check_encoding
 from ._exr import read_channels, write_channels
@@ -68,8 +68,8 @@ def write_layers(
         "airlight.color": tuple(float(c) for c in np.asarray(layers.color)[:3]),
         "airlight.alpha": float(np.asarray(layers.color)[3]),
     }
-    if layers.rays is not None:
-        attributes["airlight.rays"] = json.dumps(_rays_record(layers.rays))
+    if layers.view is not None:
+        attributes["airlight.view"] = json.dumps(_plain(layers.view))
     if scene is not None:
         attributes |= scene_attributes(scene)
     write_channels(path, channels, attributes)
@@ -155,37 +155,50 @@ def read_layers(
         width_unit=linear.width_unit if coding != "linear" else unit,
         stretch=channels.get("stretch.Y"),
         width_error=channels.get("width_error.Y"),
-        rays=_rays(path, header),
+        view=_view(path, header),
     )
 
 
-def _rays_record(rays: Rays) -> dict[str, Any]:
-    """Rays as plain JSON data: every digit of their numbers."""
-    aim = {f.name: np.asarray(getattr(rays.aim, f.name)).tolist() for f in fields(Aim)}
-    own = {f.name: getattr(rays, f.name) for f in fields(Rays) if f.name != "aim"}
-    return {name: np.asarray(value).tolist() for name, value in own.items()} | {"aim": aim}
+def _plain(part: Any) -> Any:
+    """A view as plain JSON data: every digit of its numbers."""
+    if isinstance(part, View | Aim | Body | ShadowCone):
+        return {f.name: _plain(getattr(part, f.name)) for f in fields(part)}
+    return [_plain(p) for p in part] if isinstance(part, tuple) else np.asarray(part).tolist()
 
 
-def _rays(path: PathLike, header: dict[str, object]) -> Rays | None:
+_SHAPES = {"principal": (2,), "anchor": (2,), "offset": (2,), "center": (3,), "axes": (3, 3)}
+"""Shapes of what is no single number in a view."""
+_PARTS: dict[str, type] = {"aim": Aim, "cones": ShadowCone, "occluders": Body}
+"""What is made of further numbers, one or several of them."""
+
+
+def _read_view(kind: type, record: dict[str, Any]) -> Any:
+    """What `_plain` wrote; `ValueError`, `TypeError` or `KeyError` for anything else."""
+    found: dict[str, Any] = {}
+    for name in (f.name for f in fields(kind)):
+        value = record[name]
+        if name in _PARTS:
+            several = isinstance(value, list)
+            parts = tuple(_read_view(_PARTS[name], p) for p in (value if several else [value]))
+            found[name] = parts if several else parts[0]
+            continue
+        number = np.array(value, float)[()]
+        if np.shape(number) != _SHAPES.get(name, ()) or not np.isfinite(number).all():
+            raise ValueError(name)
+        found[name] = number
+    return kind(**found)
+
+
+def _view(path: PathLike, header: dict[str, object]) -> View | None:
     """How rays pass the planet, of a file that says so."""
-    text = header.get("airlight.rays")
+    text = header.get("airlight.view")
     if text is None:
         return None
-    shapes = {"principal": (2,), "anchor": (2,), "offset": (2,), "center": (3,)}
-
-    def read(kind: type, record: dict[str, Any], **more: Any) -> Any:
-        found = {n: np.array(record[n], float)[()] for n in record if n not in more}
-        whole = all(np.shape(v) == shapes.get(n, ()) for n, v in found.items())
-        if not whole or not all(np.isfinite(v).all() for v in found.values()):
-            raise ValueError("numbers")
-        return kind(**found, **more)
-
     try:
-        record = json.loads(str(text))
-        return cast(Rays, read(Rays, record, aim=read(Aim, record["aim"])))
+        return cast(View, _read_view(View, json.loads(str(text))))
     except (ValueError, TypeError, KeyError):
         raise InputError(
-            f"{path}: airlight.rays is {shown(text)}, which is not what airlight writes; write the "
+            f"{path}: airlight.view is {shown(text)}, which is not what airlight writes; write the "
             "file anew, or remove the attribute"
         ) from None
 

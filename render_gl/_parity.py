@@ -211,18 +211,18 @@ def _field_bounds(
 
 def _place_errors(layers: Layers, division_ulp: float) -> dict[str, Float[np.ndarray, "h w"]]:
     """How far the two sides' places on the ray and heights may be apart (see the module)."""
-    rays = layers.rays
-    assert rays is not None  # else there were no such fields
+    view = layers.view
+    assert view is not None  # else there were no such fields
     height, width = np.shape(layers.front)
     grid = pixel_grid(height, width, np.float64)
-    x, y = (np.abs(part) for part in pixel_slopes(rays, *grid))
-    mx, my = ray_offsets(rays.aim, *grid)
-    squared, dd = squared_miss_distance(*pixel_slopes(rays, *grid), mx, my)
+    x, y = (np.abs(part) for part in pixel_slopes(view, *grid))
+    mx, my = ray_offsets(view.aim, *grid)
+    squared, dd = squared_miss_distance(*pixel_slopes(view, *grid), mx, my)
     m, d = np.hypot(mx, my), np.hypot(x, y)
-    of_m = 2 * (m + np.hypot(*np.asarray(rays.aim.offset)))
-    radius, slant, impact = float(rays.radius), np.sqrt(dd), np.sqrt(squared)
+    of_m = 2 * (m + np.hypot(*np.asarray(view.aim.offset)))
+    radius, slant, impact = float(view.radius), np.sqrt(dd), np.sqrt(squared)
     reference = float(layers.reference)
-    center = abs(float(rays.depth) - reference)
+    center = abs(float(view.depth) - reference)
     nearest = EPS * (radius * (of_m * d + 10 * m * d) / dd + 2 * center)
     of_squared = EPS * ((2 * m * of_m + 12 * (m * d) ** 2) / dd + 6 * squared)
     at = fields_of(layers, PLACES)

@@ -4,10 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from model_jax import DepthTextures, Layers, LayersLook, Look, Scene, eye_center, ray_stretch
+from model_jax import (
+    DepthTextures,
+    Layers,
+    LayersLook,
+    Look,
+    Scene,
+    eye_center,
+    ray_stretch,
+    view_of,
+)
 from model_jax._composite import Air, compose
 from model_jax._shapes import Rgba
-from model_jax._view import rays_of
 
 from ._choices import Source
 from ._depth_format import STORAGE, DepthFormat, choose_format
@@ -103,7 +111,7 @@ def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layer
         surface=frame.surface,
         planet=frame.planet,
         color=scene.atmosphere.color,
-        rays=rays_of(scene),
+        view=view_of(scene),
         stretch=ray_stretch(scene).astype(np.float32)
         if scene.atmosphere.path == "distance"
         else None,

@@ -37,7 +37,7 @@ def fields_at(
         return row
 
     # Only where they are asked for: programs of other looks stay as they are.
-    rays = layers.rays if any(name in PLACES for name in needs) else None
+    view = layers.view if any(name in PLACES for name in needs) else None
     width = np.shape(layers.front)[1]
     shadows = [s for s in (layers.shadow_front, layers.shadow_back) if s is not None]
     shadows = shadows if uses_shadow(needs) else []
@@ -52,8 +52,8 @@ def fields_at(
                 name: None if m is None else part(m, chosen) for name, m in maps.items()
             }
             piece = Layers(front, back, begin, until, width_unit=unit, **more)
-            piece = replace(piece, rays=rays, reference=layers.reference)
-            at = None if rays is None else np.divmod(_row(chosen), width)[::-1]
+            piece = replace(piece, view=view, reference=layers.reference)
+            at = None if view is None else np.divmod(_row(chosen), width)[::-1]
             for name, field in _jit_fields(piece, needs=tuple(needs), at=at).items():
                 whole = found.setdefault(name, np.empty(index.size))
                 whole[start:end] = np.asarray(field)[0, : end - start]

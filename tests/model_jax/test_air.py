@@ -157,7 +157,7 @@ def test_what_cannot_be_is_refused_by_name() -> None:
 
 
 def test_layers_that_do_not_know_their_rays_are_refused() -> None:
-    bare = replace(analytic_layers(scene()), rays=None)
+    bare = replace(analytic_layers(scene()), view=None)
     with pytest.raises(InputError, match=r"do not tell how rays pass the planet.*field begin"):
         combine(bare, look("density"))
     combine(bare, look("saturation"))  # needs widths only

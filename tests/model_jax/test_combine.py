@@ -17,12 +17,12 @@ from model_jax import (
     layer_widths,
     linearize_depth,
 )
-from model_jax._view import ray_offsets, rays_of
+from model_jax._view import ray_offsets, view_of
 
 from .ray_march import union
 from .scenes import scene_of
 
-RAYS = rays_of(scene_of((9000.0, 0.0, 0.0)))
+VIEW = view_of(scene_of((9000.0, 0.0, 0.0)))
 
 # name: (front, back, shadow_front, shadow_back) -> (lit, dark), all exact in binary.
 CASES = {
@@ -233,15 +233,15 @@ def test_rows_have_all_that_the_whole_has() -> None:
         "stretch": shape,
         "width_error": shape,
     }
-    assert [*given, "rays"] == [field.name for field in fields(Layers)]
+    assert [*given, "view"] == [field.name for field in fields(Layers)]
     maps: dict[str, Any] = {n: np.full(size, next(numbers), float) for n, size in given.items()}
-    whole = Layers(**maps, rays=RAYS)
+    whole = Layers(**maps, view=VIEW)
     some = whole.rows(slice(1, 3))
     for name, size in given.items():
         axis = {"surface": 0}.get(name, len(size) - 2)
         value, part = np.asarray(getattr(whole, name)), np.asarray(getattr(some, name))
         expected = np.take(value, [1, 2], axis) if len(size) > 1 else value
         np.testing.assert_array_equal(part, expected)
-    assert some.rays is not None  # what the second row was is the first now
+    assert some.view is not None  # what the second row was is the first now
     zero, one = np.zeros(1), np.ones(1)
-    assert ray_offsets(some.rays.aim, zero, zero) == ray_offsets(RAYS.aim, zero, one)
+    assert ray_offsets(some.view.aim, zero, zero) == ray_offsets(VIEW.aim, zero, one)

@@ -106,7 +106,7 @@ def test_a_fault_of_a_percent_in_a_parameter_is_caught(
     assert not parity.passed
 
 
-def test_a_file_of_layers_keeps_how_rays_pass(tmp_path: Any) -> None:
+def test_a_file_of_layers_keeps_its_view(tmp_path: Any) -> None:
     """Every digit of it, so that the air's light is the same."""
     layers, look = render(limb()), find_look("air+density")()
     write_layers(tmp_path / "layers.exr", layers)
@@ -115,13 +115,13 @@ def test_a_file_of_layers_keeps_how_rays_pass(tmp_path: Any) -> None:
 
 
 @pytest.mark.parametrize("text", ["no JSON", "[]", '{"aim": {}}', '{"aim": 1, "pixel": 2}'])
-def test_damaged_rays_are_refused_by_name(text: str, tmp_path: Any) -> None:
+def test_damaged_views_are_refused_by_name(text: str, tmp_path: Any) -> None:
     write_layers(tmp_path / "layers.exr", render(limb()))
     channels, header = read_channels(tmp_path / "layers.exr")
     kept = {name: header[name] for name in ("airlight.depth", "airlight.width_unit")}
-    write_channels(tmp_path / "damaged.exr", channels, {**kept, "airlight.rays": text})
+    write_channels(tmp_path / "damaged.exr", channels, {**kept, "airlight.view": text})
     with pytest.raises(
-        InputError, match=r"damaged\.exr: airlight\.rays is .*; write the file anew"
+        InputError, match=r"damaged\.exr: airlight\.view is .*; write the file anew"
     ):
         read_layers(tmp_path / "damaged.exr")
 
