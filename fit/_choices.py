@@ -29,9 +29,9 @@ Sampling = Literal["area", "point"]
 supersampled picture; or the light in its middle, as of a render without antialiasing."""
 _SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
 
-Where = Literal["all", "ring", "planet"]
+Where = Literal["all", "ring", "sky", "planet"]
 """Which air is looked at: in front of space and, where the layers bring a surface, of the planet;
-or of one of them only."""
+or of one of them only; or in front of space, and space beside it."""
 _WHERE: tuple[Where, ...] = get_args(Where)
 
 MOST_STEPS = 1_000_000

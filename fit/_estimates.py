@@ -19,8 +19,9 @@ from .diagnose._residuals import (
     width_slopes_of,
 )
 from .photo._camera import is_coarse
+from .photo._columns import Columns, PhotoLike, grey_spread
 from .photo._photo import Photo
-from .photo._pixels import Columns, PhotoLike, Pixels, grey_spread
+from .photo._pixels import Pixels
 from .solve._loss import Loss
 from .solve._parameters import Entries, FitParameter, to_responses
 from .solve._problem import Problem
@@ -116,6 +117,8 @@ def debias_jpeg(
 ) -> Debiased | str:
     """The look before JPEG, or why it is not known."""
     task, problem, end = evidence.task, evidence.problem, evidence.end
+    if task.blurs:
+        return "with a blur it is not known how a photo is compressed"
     lossy = [p for p in task.photos if isinstance(p, Photo) and p.lossy]
     if not lossy:
         return "no photo is a JPEG"
@@ -150,7 +153,7 @@ def photo_results(
 ) -> list[PhotoResult]:
     """What each photo says of the end point."""
     found = []
-    responses = to_responses(end.vector, type(task.look))
+    responses = to_responses(end.vector, task.layout)
     left_over, air = left_over_of(problem, end.vector), air_light_of(problem, end.vector)
     for number, (c, px, layers, residual, response) in enumerate(
         zip(problem.columns, pixels, task.layers, residuals, responses, strict=True)

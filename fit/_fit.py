@@ -13,8 +13,10 @@ from typing import Any, overload
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from model_jax import InputError, Layers, LayersLook, Look, Response
+from model_jax._blur import MOST_BLUR
 from model_jax._fields import only_needed
 from model_jax._kinds import need
 from model_jax._shapes import is_traced
@@ -30,14 +32,23 @@ from ._rounds import make_problem, search_in_rounds
 from ._traced import TracedFit, concrete, fit_traced
 from .diagnose._remarks import leave_out, pixel_remarks, why_airless, why_no_data
 from .diagnose._residuals import residuals_of
+from .photo._columns import Columns, PhotoLike, planet_light, take_columns
 from .photo._photo import Photo
-from .photo._pixels import PhotoLike, choose_pixels, take_columns
+from .photo._pixels import choose_pixels
 from .solve._declare import declare, links, pairs
 from .solve._descend import make_solver
+from .solve._parameters import to_entries
 from .solve._task import Task
 
 MAX_STEPS = 256
 """Steps a solver is given unless told."""
+
+WIDER = 3
+"""How often a blur may turn out wider than what was kept away from the planet's light."""
+LEAST_BLUR = 0.5
+"""A blur, px, that has to be expected of any photo."""
+MARGIN = 1.25
+"""How much wider than a blur that is expected it may be."""
 
 MANY_SAMPLES = 2**21
 """Samples from which on memory is counted."""
@@ -102,9 +113,10 @@ def fit(
     """Fit the look of layers to a photo, or to several photos, by least squares in linear light.
 
     The model is `record(composite(layers, look), response)`, of `model_jax`, without alpha:
-    `black_level + (exposure · (surface + air + background))^(1/gamma)`. Residuals are unweighted,
-    all channels alike. Free factors of mean one keep that mean. Samples at a photo's highest or
-    lowest code count as "at least this bright" and "at most".
+    `black_level + (exposure · (surface + air + background))^(1/gamma)`. With a blur it is that of a
+    line across the limb, beyond which lies the planet's own light as the photo shows it inside.
+    Residuals are unweighted, all channels alike. Free factors of mean one keep that mean. Samples
+    at a photo's highest or lowest code count as "at least this bright" and "at most".
 
     Args:
         photo: a loaded photo, or linear light [h, w, 3] as floats (JAX or NumPy); or a sequence of
@@ -114,8 +126,8 @@ def fit(
         look: of any kind (`looks`), with start values; what is not free stays as it is. Where a
             parameter may be one number or a colour, its form decides how it is fitted.
         free: names to fit: a parameter, one channel of a colour as NAME.r, "exposure.2" …
-            None means the look, and with several photos also black levels and exposures but the
-            first.
+            None means the look, blurs if there are any, and with several photos also black levels
+            and exposures but the first.
         response: start values of each photo's response, or one for all.
         bounds: name → (lower, upper), narrower than the parameter's own. Background and black level
             end at 0 where they would end below, unless they start there or have bounds.
@@ -129,8 +141,9 @@ def fit(
             and a supersampled picture's do: pixels on edges are left out, and intervals hold what
             the bend of the light does in the others. "point" if they show the light in their
             middles, as in a render without antialiasing: every pixel of air is used.
-        where: "ring" uses air in front of space only, "planet" air in front of the planet only,
-            whose light the layers' surface tells; "all" uses both.
+        where: "ring" uses air in front of space only, "sky" that and the sky beside it, which tells
+            background and blur, "planet" air in front of the planet only, whose light the layers'
+            surface tells; "all" uses ring and planet, with a blur ring and sky.
         solver: lm, dogleg or bfgs, of optimistix.
         max_steps: of the solver, for each of the few descents.
 
@@ -186,10 +199,11 @@ def _fit_traced(
 ) -> TracedFit:
     """The same for a tracer, with errors for what cannot be traced."""
     single = not isinstance(photo, Sequence) and isinstance(response, Response)
-    if not single or priors or loss != "linear" or isinstance(photo, Photo):
+    blurs = single and response.blur is not None
+    if not single or priors or loss != "linear" or isinstance(photo, Photo) or blurs:
         raise InputError(
-            "fit: under jit, vmap or grad it takes one array as photo, loss='linear' and no "
-            "priors; call it outside of them for more"
+            "fit: under jit, vmap or grad it takes one array as photo, loss='linear', no priors "
+            "and no blur; call it outside of them for more"
         )
     layers = only_needed(layers, look.NEEDS)
     layers = jax.tree.map(np.asarray, layers)  # inside jit, JAX's operations on them would trace
@@ -205,12 +219,18 @@ def _fit(task: Task, where: Where) -> FitResult:
     """The work, once it is known what was asked."""
     times = [perf_counter()]
     seen = list(zip(task.photos, task.layers, strict=True))
-    pixels = [choose_pixels(p, la, task.sampling, where) for p, la in seen]
+    pixels = [choose_pixels(p, la, task.sampling, where, blurs=task.blurs) for p, la in seen]
     unit = float(task.layers[0].width_unit)
     kind = type(task.look)
-    columns = tuple(
-        take_columns(p, la, px.used, unit, kind) for (p, la), px in zip(seen, pixels, strict=True)
-    )
+
+    def take(blurs: Float[np.ndarray, " photos"]) -> tuple[Columns, ...]:
+        return tuple(
+            take_columns(p, la, px.used, unit, kind, planet_light(p, la, blur) if blur else None)
+            for (p, la), px, blur in zip(seen, pixels, blurs, strict=True)
+        )
+
+    widths = expected_blurs(task)
+    columns = take(widths)
     asked, left_out = leave_out(task, columns)
     why_not = why_no_data(task, pixels, columns, asked)
     if why_not:
@@ -219,6 +239,14 @@ def _fit(task: Task, where: Where) -> FitResult:
     columns = problem.columns
     times.append(perf_counter())
     problem, end = search_in_rounds(task, problem, asked)
+    for _ in range(WIDER if task.blurs and end.finite else 0):
+        found = task.layout.responses(end.vector)[:, -1]
+        if (found <= widths).all():
+            break
+        widths = np.minimum(np.maximum(widths, MARGIN * found), MOST_BLUR)
+        problem = make_problem(task, take(widths))
+        columns = problem.columns
+        problem, end = search_in_rounds(task, problem, asked)
     if problem.count > MANY_SAMPLES:
         give_back()  # what compiling left behind
     times.append(perf_counter())
@@ -245,6 +273,15 @@ def _fit(task: Task, where: Where) -> FitResult:
     names = ("reduce", "solve", "errors")
     spans = zip(names, pairwise(times), strict=True)
     return replace(result, seconds={name: after - before for name, (before, after) in spans})
+
+
+def expected_blurs(task: Task) -> Float[np.ndarray, " photos"]:
+    """The widest blur of each photo that is to be expected, px; 0 where there is none."""
+    found = np.zeros(len(task.photos))
+    if task.blurs:
+        start = task.layout.responses(to_entries(task.parameters))[:, -1]
+        found = np.minimum(MARGIN * np.maximum(start, LEAST_BLUR), MOST_BLUR)
+    return found
 
 
 def _check_kinds(photo: Any, layers: Any, look: Any, response: Any, max_steps: Any) -> None:

@@ -23,7 +23,8 @@ from .diagnose._evidence import Evidence
 from .diagnose._remarks import file_remarks, percent, warnings_of
 from .diagnose._remedy import is_misfit, remedy_of
 from .diagnose._spread import reach_95, spread_of
-from .photo._pixels import Columns, Pixels
+from .photo._columns import Columns
+from .photo._pixels import Pixels
 from .solve._parameters import (
     Entries,
     FitParameter,
@@ -87,7 +88,7 @@ def judge(
         for p in flat.held
     ]
     verdict = _verdict(task, end, photos)
-    responses = to_responses(worth.vector, type(task.look))
+    responses = to_responses(worth.vector, task.layout)
     result = FitResult(
         verdict=verdict.label,
         message="",
@@ -270,7 +271,7 @@ def without_data(
             width_unit=float(layers.width_unit),
         )
         for px, c, layers, response in zip(
-            pixels, columns, task.layers, to_responses(start, type(task.look)), strict=True
+            pixels, columns, task.layers, to_responses(start, task.layout), strict=True
         )
     ]
     result = FitResult(

@@ -10,8 +10,7 @@ from jaxtyping import Float
 from ._choices import LossName
 from ._compile import float64
 from .diagnose._residuals import residuals_of, square_sum_of
-from .photo._pixels import Columns
-from .solve._layout import Layout
+from .photo._columns import Columns
 from .solve._loss import Loss
 from .solve._model import Model, PriorTerm
 from .solve._parameters import FitParameter, to_entries
@@ -33,9 +32,10 @@ def make_problem(task: Task, columns: tuple[Columns, ...]) -> Problem:
     free = [p for p in task.parameters if p.role != "fixed"]
     gammas = [p for p in task.parameters if p.family == "gamma"]
     linear = not any(p in free for p in gammas) and all(p.value == 1 for p in gammas)
+    square = 1 / 12 if task.sampling == "area" else 0.0
     samples = to_samples(columns)
     columns = share_fields(columns, samples)
-    model = Model(Loss("linear"), None, Layout(type(task.look)), linear)
+    model = Model(Loss("linear"), None, task.layout, linear, square)
     return Problem(columns, on_device(samples), task.parameters, model)
 
 

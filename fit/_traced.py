@@ -19,7 +19,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Float, Int
 
-from model_jax import FIELDS, RESPONSE_PARAMETERS, InputError, Layers, Look, Response
+from model_jax import FIELDS, InputError, Layers, Look, Response
 from model_jax._fields import fields_of
 from model_jax._shapes import AnyArray, is_traced
 
@@ -77,6 +77,7 @@ def concrete(look: Look, response: Response) -> tuple[Look, Response]:
         values = {
             name: getattr(default if is_traced(getattr(record, name)) else record, name)
             for name in (f.name for f in dataclasses.fields(record))
+            if getattr(record, name) is not None
         }
         shapes = {name: np.shape(getattr(record, name)) for name in values}
         return type(record)(**{n: np.broadcast_to(v, shapes[n]) for n, v in values.items()})
@@ -157,7 +158,7 @@ def _samples(photo: AnyArray, layers: Layers, index: np.ndarray, layout: Layout)
 def _fixed(look: Look, response: Response, directions: np.ndarray, dtype: Any) -> jax.Array:
     """The vector of what is held, traced; 0 where something moves."""
     values = [(getattr(look, name), p.size) for name, p in type(look).PARAMETERS.items()]
-    values += [(getattr(response, name), 1) for name in RESPONSE_PARAMETERS]
+    values += [(getattr(response, name), 1) for name in Layout(type(look)).response]
     parts = [jnp.broadcast_to(jnp.asarray(value, dtype), (size,)) for value, size in values]
     return jnp.where(directions.any(axis=1), 0, jnp.concatenate(parts))
 

@@ -110,7 +110,7 @@ def trace_view(view: View, height: int, width: int) -> tuple[AnyArray, ...]:
 
     NumPy arrays [h, w], shadows of several bodies [n, h, w]; traced ones of a traced view.
     """
-    return _of_all_pixels(_trace, view, height, width)
+    return _of_all_pixels(trace, view, height, width)
 
 
 def _of_all_pixels(
@@ -139,7 +139,7 @@ def _of_all_pixels(
 
 
 @jax.jit
-def _trace(view: View, column: AnyArray, row: AnyArray) -> tuple[AnyArray, ...]:
+def trace(view: View, column: AnyArray, row: AnyArray) -> tuple[AnyArray, ...]:
     """`trace_view` of any pixels, whose indices broadcast."""
     x, y = pixel_slopes(view, column, row)
     mx, my = ray_offsets(view.aim, column, row)

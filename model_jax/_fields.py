@@ -81,6 +81,10 @@ PLACES = ("begin", "end", "dark_begin", "dark_end", "altitude", "impact", "per_l
 """Those that tell where on the ray and how high the air is."""
 
 
+OF_RAYS = ("altitude", "impact", "per_length")
+"""Those of them that rays have without air too."""
+
+
 class Fields(eqx.Module):
     """What a look asked for, as attributes; what nothing in view has is the number 0."""
 

@@ -67,5 +67,13 @@ RESPONSE_PARAMETERS: dict[str, Parameter] = {
         scale=0.01,
         least=0.0,
     ),
+    "blur": Parameter(
+        "standard deviation of the Gaussian that light is spread by",
+        "px",
+        0.0,
+        3.0,
+        1.0,
+        source="a lens that is as sharp as its pixels",
+    ),
 }
 """Every parameter of `Response` by its field name."""

@@ -17,7 +17,8 @@ import pytest
 
 import render_gl
 from fit import fit
-from fit.photo._pixels import choose_pixels, take_columns
+from fit.photo._columns import take_columns
+from fit.photo._pixels import choose_pixels
 from fit.report._export import Format, export_text
 from fit.report._fitted import read_fit
 from fit.solve._declare import declare
@@ -255,6 +256,6 @@ def test_no_product_file_asks_which_look_it_is() -> None:
     """But the registry, what a scene or a call has when nobody says, and the race."""
     allowed = {"model_jax/__init__.py", "model_jax/__init__.pyi", "model_jax/looks/_registry.py"}
     allowed |= {f"render_gl/_{name}.py" for name in ("render", "scene_file")}
-    allowed |= {f"fit/{name}.py" for name in ("_fit", "cli/_job", "photo/_pixels")}
+    allowed |= {f"fit/{name}.py" for name in ("_fit", "cli/_job", "photo/_columns")}
     allowed |= {f"fit/bench/_{name}.py" for name in ("case", "race")}
     assert spelled("LayersLook") <= allowed

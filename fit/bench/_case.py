@@ -23,7 +23,7 @@ from model_jax import (
 )
 from render_gl._scene_file import scene_record
 
-from ..photo._pixels import Columns
+from ..photo._columns import Columns
 from ..solve._declare import declare
 from ..solve._layout import Layout
 from ..solve._loss import Loss

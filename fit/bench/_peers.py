@@ -8,7 +8,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Float
 
-from ..photo._pixels import Columns
+from ..photo._columns import Columns
 
 
 def scipy_fit(

@@ -28,7 +28,8 @@ from model_jax import Layers, LayersLook
 
 from .._fit import fit
 from .._result import FitResult
-from ..photo._pixels import Columns, choose_pixels, take_columns
+from ..photo._columns import Columns, take_columns
+from ..photo._pixels import choose_pixels
 from ..solve._descend import exact_gram
 from ..solve._parameters import free_directions, to_entries
 from ..solve._search import search

@@ -16,8 +16,20 @@ from model_jax._errors import InputError, shown
 T = TypeVar("T")
 
 
+def without_blur(terms: str | None) -> tuple[str | None, bool]:
+    """The terms of a look, if there are any, and whether the camera's blur was among them."""
+    if terms is None:
+        return None, False
+    names = [term.strip() for term in terms.split(",")]
+    rest = [name for name in names if name != "blur"]
+    return ",".join(rest) if rest else None, len(rest) < len(names)
+
+
 def look_of(look: str | None, terms: str | None) -> str | None:
     """A look's name with its terms, as `find_look` takes it: air+density."""
+    terms, blurs = without_blur(terms)
+    if blurs:
+        raise InputError("--terms: blur is the camera's, no look's, and goes with fit only")
     if terms is None:
         return look
     if look is None or look.endswith(".py"):

@@ -203,7 +203,8 @@ def fit(
         typer.Option(help="point: the photo is a render without antialiasing."),
     ] = "area",
     where: Annotated[
-        Where, typer.Option(help="Air in front of space (ring), of the planet, or of both.")
+        Where,
+        typer.Option(help="Air in front of space (with the sky beside it), of the planet, all."),
     ] = "all",
     solver: Annotated[SolverName, typer.Option(help="Of the descent.")] = "lm",
     max_steps: Annotated[int | None, typer.Option(help="Steps the solver may take.")] = None,
@@ -232,6 +233,7 @@ def fit(
             "tone_curve into [photo] of each one's scene"
         )
     check_steps("max-steps", max_steps)
+    terms, blurs = assignments.without_blur(terms)
     asked: dict[str, Any] = dict(  # noqa: C408 (the names of `Job`'s fields)
         photos=tuple(paths if layers is not None else paths[1::2]),
         scenes=tuple(paths[::2]) if layers is None else (),
@@ -241,6 +243,7 @@ def fit(
         encoding=encoding,
         constant=constant,
         look=assignments.look_of(look, terms),
+        blurs=blurs,
         source=source or "raster",
         depth_format=depth or "linear",
         tone_curve=assignments.tone_curve(tone_curve),

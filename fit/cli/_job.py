@@ -19,6 +19,7 @@ import numpy as np
 
 import render_gl
 from model_jax import (
+    RESPONSE_PARAMETERS,
     Encoding,
     InputError,
     Layers,
@@ -47,6 +48,7 @@ from ..photo._read import load_photo
 from ..report._fitted import SCHEMA
 from ..report._report import report_html
 from ..solve._declare import declare
+from ..solve._layout import Layout
 from ..solve._parameters import to_entries, to_look, to_responses
 from ._outputs import prepare_folder, remove, versions, write_text
 from ._written import PhotoView, write_maps, write_photo
@@ -69,6 +71,8 @@ class Job:
     """C of logarithmic depths."""
     look: str | None = None
     """A look by name or file, in place of the scenes'."""
+    blurs: bool = False
+    """Photos are blurred, by widths that are fitted."""
     source: LayerSource = "raster"
     """Where a scene's layers come from."""
     depth_format: str = "linear"
@@ -175,7 +179,9 @@ def start_values(job: Job, look: Look) -> tuple[Look, tuple[Response, ...]]:
     Raises:
         InputError: an unknown name, or a value that the look or a response cannot have.
     """
-    parameters = declare(look, [Response()] * len(job.photos))
+    default: Any = RESPONSE_PARAMETERS["blur"].default
+    response = Response(blur=default) if job.blurs else Response()
+    parameters = declare(look, [response] * len(job.photos))
     vector = to_entries(parameters)
     for name, value in job.start.items():
         members = [p for p in parameters if name in (p.name, p.family)]
@@ -184,7 +190,7 @@ def start_values(job: Job, look: Look) -> tuple[Look, tuple[Response, ...]]:
             raise InputError(f"start: {name!r} is no parameter; choose from {list(known)}")
         for p in members:
             vector[list(p.entries)] = value
-    return to_look(vector, look), to_responses(vector, type(look))
+    return to_look(vector, look), to_responses(vector, Layout(type(look), job.blurs))
 
 
 def _check_names(job: Job, look: Look, responses: Sequence[Response]) -> None:

@@ -18,7 +18,10 @@ LookOption = Annotated[
 ]
 TermsOption = Annotated[
     str | None,
-    typer.Option(metavar="A,B", help="What is added to the look, such as density,saturation."),
+    typer.Option(
+        metavar="A,B",
+        help="What is added to the look, such as density,saturation; fit: also blur.",
+    ),
 ]
 SourceOption = Annotated[
     LayerSource,

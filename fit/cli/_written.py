@@ -16,6 +16,7 @@ from model_jax._shapes import AnyArray
 from .._memory import give_back
 from .._result import FitResult
 from .._verdict import Verdict
+from ..diagnose._evidence import Evidence
 from ..photo._photo import Photo
 from ..report._report import Section, photo_section
 from ._outputs import remove
@@ -44,20 +45,25 @@ class Maps:
     """A parameter, and its derivative by each pixel's light, summed over channels."""
     weights: Float[np.ndarray, "h w"] | None
     """How much a robust loss believed each pixel."""
+    blurred: Float[np.ndarray, "h w 3"] | None = None
+    """What a blurred photo would have recorded, NaN in pixels that were not used."""
 
 
 def write_maps(folder: Path, result: FitResult, number: int) -> Maps:
     """The influence map as a file, and what the report shows of it; none where nothing was told."""
     path = folder / f"influence{_ending(result, number)}"
     weights = result.weights(number) if result.loss != "linear" and result.evidence else None
+    blurred = None
+    if isinstance(result.evidence, Evidence) and result.photos[number].response.blur is not None:
+        blurred = result.evidence.predictions()[number]
     name = told_first(result)
     if name is None:
         remove(path)  # an earlier fit's
-        return Maps(None, weights)
+        return Maps(None, weights, blurred)
     found = result.influence(name, number)
     channels = {channel: found[..., k] for k, channel in enumerate("RGB")}
     render_gl.write_channels(path, channels, {"airlight.parameter": name})
-    return Maps((name, found.sum(axis=-1)), weights)
+    return Maps((name, found.sum(axis=-1)), weights, blurred)
 
 
 def told_first(result: FitResult) -> str | None:
@@ -81,7 +87,12 @@ def write_photo(
         return photo_section(view.name, view.photo, None, told.used, None, count=count)
     # Brightness refers to the first photo's width unit; so must the widths.
     layers = replace(jax.tree.map(np.asarray, layers), width_unit=result.width_unit)
-    planes, shadowed = predict_photo(layers, result.look, told.response, told.mix)
+    # Of blurred pixels the fit knows what lies beside them; the others are shown sharp.
+    response = replace(told.response, blur=None)
+    planes, shadowed = predict_photo(layers, result.look, response, told.mix)
+    if maps.blurred is not None:
+        known = np.isfinite(maps.blurred).all(axis=-1)
+        planes[:3, known] = maps.blurred[known].T
     del layers
     give_back()
     picture = np.moveaxis(planes, 0, -1)

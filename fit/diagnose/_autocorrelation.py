@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..photo._pixels import Columns
+from ..photo._columns import Columns
 
 LAGS = 64
 """Most pixels over which residuals are compared: four of JPEG's largest blocks."""

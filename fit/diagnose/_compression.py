@@ -33,8 +33,8 @@ from model_jax import Layers
 
 from .._compile import float64
 from ..photo._camera import SEED, JpegCamera, left_over, near_used
+from ..photo._columns import Columns, PhotoLike, size_of, take_columns
 from ..photo._photo import Photo
-from ..photo._pixels import Columns, PhotoLike, size_of, take_columns
 from ..solve._model import Model, PriorTerm
 from ..solve._parameters import Entries, FitParameter, is_outside
 from ..solve._polish import gauss_newton

@@ -18,7 +18,7 @@ from ..solve._problem import Point, Problem
 from ..solve._search import End
 from ..solve._task import Task
 from ._influence import influence_maps
-from ._residuals import residuals_of, square_sum_of
+from ._residuals import predictions_of, residuals_of, square_sum_of
 from ._spread import Spread
 
 BELIEVED = 0.25
@@ -62,6 +62,16 @@ class Evidence(OnDemand):
             believed = belief_in(residual, self.problem.model.loss)
             weights.reshape(-1)[c.index] = believed.min(axis=-1)
             found.append(weights)
+        return found
+
+    def predictions(self) -> list[Float[np.ndarray, "_ _ 3"]]:
+        """What each photo would have recorded in its used pixels, NaN in the others."""
+        found = []
+        light = predictions_of(self.problem, self.point.vector)
+        for c, size, seen in zip(self.problem.columns, self.task.sizes, light, strict=True):
+            picture = np.full((*size, 3), np.nan, np.float32)
+            picture.reshape(-1, 3)[c.index] = seen
+            found.append(picture)
         return found
 
 

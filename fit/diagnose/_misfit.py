@@ -28,7 +28,7 @@ from model_jax import Layers
 from .._choices import Sampling
 from .._result import Misfit
 from ..photo._blocks import block_numbers
-from ..photo._pixels import Columns, unlit_columns
+from ..photo._columns import Columns, unlit_columns
 from ..solve._problem import Point
 from ._amounts import Amounts, Sums
 from ._influence import influences
@@ -253,4 +253,5 @@ def _part(columns: Columns, chosen: Int[np.ndarray, " m"]) -> Columns:
         surface=part(columns.surface),
         clipped=part(columns.clipped),
         drawn_error=part(columns.drawn_error),
+        stencil=None if columns.stencil is None else columns.stencil.part(chosen),
     )

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from model_jax._fields import WIDTHS
 
-from ..photo._pixels import Columns
+from ..photo._columns import Columns
 
 
 @dataclass(frozen=True)

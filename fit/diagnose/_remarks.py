@@ -10,15 +10,9 @@ from model_jax import FIELDS, Layers
 from .._choices import CHANNELS
 from .._result import FitResult, LeftOut, PhotoResult
 from .._verdict import STRUCTURED_PX, WELL_EXPLAINED
+from ..photo._columns import Columns, as_picture, light_at, take_columns
 from ..photo._photo import Photo
-from ..photo._pixels import (
-    UNKNOWN_SURFACE,
-    Columns,
-    Pixels,
-    as_picture,
-    light_at,
-    take_columns,
-)
+from ..photo._pixels import UNKNOWN_SURFACE, Pixels
 from ..photo._widths import fields_at
 from ..solve._parameters import FitParameter, free_directions
 from ..solve._task import Task

@@ -30,6 +30,7 @@ from model_jax._shapes import AnyArray
 
 from .._compile import float64, program
 from ..photo._blocks import block_numbers
+from ..photo._stencil import ALONG
 from ..solve._loss import weigh
 from ..solve._model import Model, tile_slopes
 from ..solve._problem import Point
@@ -129,6 +130,9 @@ def spread_of(
     columns, prior_of = point.problem.columns, point.problem.model.prior
     p = point.directions.shape[1]
     length, area, products = correlation(columns, sizes, residuals)
+    if any(c.stencil is not None for c in columns):
+        # The planet's light is measured, and what it is wrong by is so for pixels side by side.
+        length = max(length, ALONG)
     unit = LEAST_BLOCK
     side = unit * int(np.ceil(max(LENGTHS * length, unit) / unit)) if length > 1 else unit
     while True:

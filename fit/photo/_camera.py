@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float, Int, UInt, UInt8
 from PIL import Image
 from PIL.JpegImagePlugin import JpegImageFile
 
+from ._columns import Columns, PhotoLike, with_codes
 from ._photo import Jpeg, Photo
-from ._pixels import Columns, PhotoLike, with_codes
 from ._read import orient
 
 SEED = 20261123

@@ -10,8 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from model_jax import Layers
-from model_jax._fields import PLACES, fields_of, uses_shadow
+from model_jax._analytic import trace
+from model_jax._fields import OF_RAYS, PLACES, fields_of, uses_shadow
 from model_jax._shapes import AnyArray
+from model_jax._view import pixel_slopes
 
 from .._compile import float64
 
@@ -57,6 +59,57 @@ def fields_at(
             for name, field in _jit_fields(piece, needs=tuple(needs), at=at).items():
                 whole = found.setdefault(name, np.empty(index.size))
                 whole[start:end] = np.asarray(field)[0, : end - start]
+    return found
+
+
+def fields_between(
+    layers: Layers,
+    places: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
+    unit: float,
+    needs: Sequence[str],
+    *,
+    ground: bool,
+) -> dict[str, Float[np.ndarray, " n"]]:
+    """Fields at columns and rows between pixels too, of rays that the ground ends, or of rays that
+    pass as if there were none. Where there is no air, all that tells of it is 0.
+
+    Exact, whatever drew the layers, whose view must be known.
+    """
+    assert layers.view is not None
+    view, (column, row) = layers.view, places
+    shaded = layers.has_shadow and uses_shadow(needs)
+    planet = view.planet if ground else 0.0
+    beyond = replace(view, planet=planet, cones=view.cones if shaded else ())
+    found: dict[str, np.ndarray] = {}
+    with float64():
+        for start in range(0, max(column.size, 1), _CHUNK):
+            end = min(start + _CHUNK, column.size)
+            at = np.zeros((2, 1, _CHUNK))
+            at[:, 0, : end - start] = column[start:end], row[start:end]
+            front, back, hit, *shadow = (np.asarray(p) for p in trace(beyond, *at))
+            begin, until = [s * view.radius for s in shadow] or (None, None)
+            stretch = None
+            if layers.stretch is not None:
+                x, y = pixel_slopes(view, *at)
+                stretch = np.sqrt(1 + x * x + y * y)
+            piece = Layers(
+                front * view.radius,
+                back * view.radius,
+                begin,
+                until,
+                planet=hit,
+                stretch=stretch,
+                width_unit=unit,
+                reference=view.depth,
+                view=view,
+            )
+            fields = _jit_fields(piece, needs=tuple(needs), at=tuple(at))
+            for name, field in fields.items():
+                whole = found.setdefault(name, np.empty(column.size))
+                here = np.asarray(field)[0, : end - start]
+                if name not in OF_RAYS:
+                    here = np.where((front != back)[0, : end - start], here, 0)
+                whole[start:end] = here
     return found
 
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from model_jax import RESPONSE_PARAMETERS, InputError, Look, Response
+from model_jax import InputError, Look, Response
 from model_jax._errors import shown
 
 from .._choices import CHANNELS
-from ._layout import RESPONSE_ENTRIES, Layout
+from ._layout import Layout
 from ._parameters import FitParameter, Prior
 
 NARROWEST = 1e-100
@@ -82,7 +82,8 @@ def declare(
             circle of ties, a start that is not a number, bounds or a prior of what is held.
     """
     parameters = {p.name: p for p in _unchanged(look, responses)}
-    names = default_free(type(look), len(responses)) if free is None else free
+    blurs = blurs_of(responses)
+    names = default_free(type(look), len(responses), blurs) if free is None else free
     if not isinstance(names, Iterable):
         raise InputError(f"free: is {shown(names)}; give names, such as {_choices(parameters)[:2]}")
     for name in _expand("free", names, parameters):
@@ -120,28 +121,38 @@ def declare(
     return tuple(parameters.values())
 
 
-def default_free(kind: type[Look], photos: int) -> tuple[str, ...]:
-    """What is fitted when nobody says: the look; with several photos levels and exposures too.
+def blurs_of(responses: Sequence[Response]) -> bool:
+    """Whether the photos have a blur. Raises `InputError` if only some have."""
+    found = {response.blur is not None for response in responses}
+    if len(found) > 1:
+        raise InputError("response: some photos have a blur, some none; give one to all or to none")
+    return True in found
+
+
+def default_free(kind: type[Look], photos: int, blurs: bool = False) -> tuple[str, ...]:
+    """What is fitted when nobody says: the look; with several photos levels and exposures too; and
+    blurs, if there are any.
 
     Exposures are relative to the first photo's, and each photo's level is its own.
     """
+    blur = ("blur",) if blurs else ()
     if photos == 1:
-        return tuple(kind.PARAMETERS)
+        return (*kind.PARAMETERS, *blur)
     exposures = [f"exposure.{k}" for k in range(2, photos + 1)]
     own = [name for name in kind.PARAMETERS if name not in Look.PARAMETERS]
-    return (*own, "black_level", *exposures)
+    return (*own, "black_level", *exposures, *blur)
 
 
 def _unchanged(look: Look, responses: Sequence[Response]) -> list[FitParameter]:
     """All parameters, fixed, with the meaning that the look and the response give them."""
     found: list[FitParameter] = []
-    layout = Layout(type(look))
+    layout = Layout(type(look), blurs_of(responses))
     # What hangs on a field is told after what does not, and the frame's own last.
     ordered = sorted(
         layout.kind.PARAMETERS,
         key=lambda name: (name in Look.PARAMETERS, layout.kind.PARAMETERS[name].of is not None),
     )
-    orders = {name: k for k, name in enumerate([*ordered, *RESPONSE_PARAMETERS])}
+    orders = {name: k for k, name in enumerate([*ordered, *layout.response])}
 
     def add(name: str, family: str, entries: tuple[int, ...], value: Any) -> None:
         about = layout.families[family]
@@ -176,8 +187,8 @@ def _unchanged(look: Look, responses: Sequence[Response]) -> list[FitParameter]:
                 add(f"{family}.{ending}", family, (entry,), number)
     for number, response in enumerate(responses):
         ending = f".{number + 1}" if len(responses) > 1 else ""
-        for k, family in enumerate(RESPONSE_PARAMETERS):
-            entry = layout.size + RESPONSE_ENTRIES * number + k
+        for k, family in enumerate(layout.response):
+            entry = layout.size + len(layout.response) * number + k
             add(family + ending, family, (entry,), getattr(response, family))
     return found
 

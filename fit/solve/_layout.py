@@ -9,9 +9,6 @@ import numpy as np
 from model_jax import RESPONSE_PARAMETERS, Look, Parameter
 from model_jax._composite import dims
 
-RESPONSE_ENTRIES = len(RESPONSE_PARAMETERS)
-"""Numbers of each photo's response in the vector: exposure, gamma, black level."""
-
 
 @dataclass(frozen=True)
 class Layout:
@@ -21,6 +18,8 @@ class Layout:
     """
 
     kind: type[Look]
+    blurs: bool = False
+    """Each photo has a blur; else none has, and there is no entry of one."""
 
     @cached_property
     def slices(self) -> dict[str, slice]:
@@ -34,10 +33,16 @@ class Layout:
         """Entries of the look."""
         return max(part.stop for part in self.slices.values())
 
+    @cached_property
+    def response(self) -> dict[str, Parameter]:
+        """Parameters of each photo's response, in the order of their entries."""
+        known = RESPONSE_PARAMETERS.items()
+        return {name: about for name, about in known if name != "blur" or self.blurs}
+
     @property
     def families(self) -> dict[str, Parameter]:
         """Every parameter of look and response."""
-        return self.kind.PARAMETERS | RESPONSE_PARAMETERS
+        return self.kind.PARAMETERS | self.response
 
     @cached_property
     def is_linear(self) -> bool:
@@ -61,5 +66,5 @@ class Layout:
         return self.kind(**self.values(vector))
 
     def responses(self, vector: Any) -> Any:
-        """Rows of the photos' exposures, gammas and black levels."""
-        return vector[self.size :].reshape(-1, RESPONSE_ENTRIES)
+        """Rows of the photos' exposures, gammas, black levels and, if there are any, blurs."""
+        return vector[self.size :].reshape(-1, len(self.response))

@@ -1,12 +1,16 @@
 """The model of a sample: light of a look and a response, its slopes, and what is known before."""
 
+from collections.abc import Mapping
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
 from model_jax import Look, Response, record
+from model_jax._blur import below_limb, inner_heights, stencil_weights
 from model_jax._composite import Air, air_light, compose
+from model_jax._safe import safe_divide, safe_power
 from model_jax._shapes import AnyArray
 
 from ._layout import Layout
@@ -30,11 +34,13 @@ class Model(eqx.Module):
     """The kind of look, and where its numbers stand."""
     straight: bool = eqx.field(static=True)
     """Every gamma is 1 and stays so: no power is computed."""
+    square: float = eqx.field(static=True, default=0.0)
+    """Variance, px², that pixels which show means over their squares add to a blur's."""
 
     @property
     def linear(self) -> bool:
         """What is recorded is a sum of the fields and the surface, each times something."""
-        return self.straight and self.layout.is_linear
+        return self.straight and self.layout.is_linear and not self.layout.blurs
 
 
 def predict(
@@ -46,6 +52,8 @@ def predict(
     """
     entries = jnp.asarray(entries)
     look = model.layout.look(entries)
+    if tile.stencil is not None:
+        return _blurred(entries, look, tile, model, bare=bare)
     one = jnp.ones_like(tile.weight) if tile.one is None else tile.one
     air = Air(jnp.zeros_like(tile.light), None, None) if bare else _air(look, tile, model)
     background = jnp.broadcast_to(look.background, (3,))[:, None] * one[None, :]
@@ -55,7 +63,7 @@ def predict(
         light = tile.mix @ light
     if tile.surface is not None and not dims:
         light = light + tile.surface
-    exposure, gamma, black_level = model.layout.responses(entries)[tile.photo]
+    exposure, gamma, black_level, *_ = model.layout.responses(entries)[tile.photo]
     recorded = record(light, Response(exposure, gamma), linear=model.straight)
     level = black_level * one[None, :]
     if tile.mix is not None:
@@ -73,6 +81,72 @@ def _air(look: Look, tile: Tile, model: Model) -> Air:
     if tile.one is not None and not model.layout.is_linear:
         light = light * tile.one[None]
     return Air(light, alpha, passed)
+
+
+def _blurred(
+    entries: jax.Array, look: Look, tile: Tile, model: Model, *, bare: bool
+) -> Float[jax.Array, "3 n"]:
+    """Recorded light of pixels beside a planet, whose light was measured as it was recorded.
+
+    Inside the limb that is the planet's through the air, and the air's. What is measured deep
+    inside less the air's goes on to the limb as a line, dimmed more where there is more air.
+    """
+    stencil = tile.stencil
+    assert stencil is not None
+    exposure, gamma, black_level, blur = model.layout.responses(entries)[tile.photo]
+    height, bend = stencil.height[0], stencil.bend[0]
+    width = jnp.sqrt(blur * blur + model.square)
+    below = below_limb(height, bend, width)
+    own = jnp.ones((3, 1), tile.light.dtype)
+    if tile.mix is not None:
+        own = jnp.any(tile.mix != 0, axis=1)[:, None].astype(own.dtype)
+    level, change = stencil.inside[:3] - black_level, stencil.inside[3:]
+    if not model.straight:  # the light that was recorded so
+        straight = jnp.sign(level) * safe_power(jnp.abs(level), gamma)
+        change = change * gamma * safe_divide(straight, level, 0.0)
+        level = straight
+    level, change = (own * safe_divide(part, exposure, 0.0) for part in (level, change))
+    background = jnp.broadcast_to(look.background, (3,))[:, None]
+    light = background * (1 - below[:1])
+
+    def mixed(channels: jax.Array) -> jax.Array:
+        return channels if tile.mix is None else jnp.einsum("ij,j...->i...", tile.mix, channels)
+
+    light = mixed(light) + level * below[:1] + change * below[1:]
+    if not bare:
+        heights = jnp.broadcast_to(inner_heights()[:, None], (len(inner_heights()), len(height)))
+        weights = stencil_weights(stencil.heights, height, bend, width)
+        air, _ = _air_at(look, stencil.fields, tile)
+        light = light + mixed(jnp.einsum("kn,ckn->cn", weights, air))
+        air, passed = _air_at(look, stencil.inner, tile)
+        air = mixed(air)
+        places = len(heights)
+        deep, shallow = stencil.band
+        first, last = air[:, places], air[:, places + 1]
+        along = (heights - deep[None]) / (shallow - deep)[None]
+        line = first[:, None] + (last - first)[:, None] * along[None]
+        more = air[:, :places] - line
+        if passed is not None:
+            there = (passed[:, places] + passed[:, places + 1]) / 2
+            share = jnp.minimum(safe_divide(passed[:, :places], there[:, None], 0.0), 1) - 1
+            planet = level[:, None] - change[:, None] * heights[None] - line
+            more = more + planet * share
+        weights = stencil_weights(heights, height, bend, width)
+        light = light + own * jnp.einsum("kn,ckn->cn", weights, more)
+    recorded = record(light, Response(exposure, gamma), linear=model.straight)
+    return recorded + own * black_level
+
+
+def _air_at(
+    look: Look, fields: Mapping[str, AnyArray], tile: Tile
+) -> tuple[Float[jax.Array, "3 k n"], Float[jax.Array, "c k n"] | None]:
+    """Light and transmittance at several places for each pixel."""
+    air = air_light(look, fields, tile.color)
+    light = air.light if air.alpha is None or look.BLEND != "over" else air.light * air.alpha
+    passed = air.transmittance
+    if air.alpha is not None and look.BLEND != "add":
+        passed = (1 - air.alpha) if passed is None else passed * (1 - air.alpha)
+    return jnp.moveaxis(light, -1, 0), None if passed is None else jnp.moveaxis(passed, -1, 0)
 
 
 def tile_slopes(

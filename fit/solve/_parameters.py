@@ -4,9 +4,9 @@ One `FitParameter` record stands for each number that a result reports (`_declar
 (as it declares them, colours as NAME.r, NAME.g, NAME.b) and of each photo's response (exposure,
 gamma, black_level, with several photos exposure.1, exposure.2 …). Below it all is one vector of
 *entries* (`_layout`): the look's (one number in place of a colour stands there three times), then
-three for each photo. A fit moves entries along *directions*, one column for each degree of freedom:
-a shared number moves its entries together, tied parameters move together, and free factors of mean
-one keep their sum.
+three for each photo, or four if it has a blur. A fit moves entries along *directions*, one column
+for each degree of freedom: a shared number moves its entries together, tied parameters move
+together, and free factors of mean one keep their sum.
 """
 
 import math
@@ -94,9 +94,9 @@ def to_look(vector: Entries, like: Look) -> Look:
     return kind(**{n: part(v, getattr(like, n)) for n, v in values.items()})
 
 
-def to_responses(vector: Entries, kind: type[Look]) -> tuple[Response, ...]:
+def to_responses(vector: Entries, layout: Layout) -> tuple[Response, ...]:
     """The response of each photo."""
-    return tuple(Response(*row) for row in Layout(kind).responses(vector))
+    return tuple(Response(*row) for row in layout.responses(vector))
 
 
 def followers(

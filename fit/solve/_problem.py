@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from .._compile import float64
-from ..photo._pixels import Columns
+from ..photo._columns import Columns
 from ._descend import exact_gram
 from ._model import Model
 from ._parameters import Entries, FitParameter
-from ._reduce import MOST_BINNED, THIN, bins, moments, thinned
+from ._reduce import MOST_BINNED, bins, moments, thin_of, thinned
 from ._samples import Samples, on_device, to_samples
 
 
@@ -38,11 +38,12 @@ class Problem:
         with float64():
             if plain and samples.clipped is None and self.model.linear:
                 return moments(samples)
-            if plain and samples.surface is None and len(samples.fields) <= MOST_BINNED:
+            pairs = samples.surface is None and samples.stencil is None
+            if plain and pairs and len(samples.fields) <= MOST_BINNED:
                 if samples.clipped is None:
                     columns = tuple(replace(c, clipped=None) for c in columns)
                 return bins(columns)
-            if sum(len(c.index) for c in columns) > 2 * THIN:
+            if sum(len(c.index) for c in columns) > 2 * thin_of(columns):
                 return thinned(columns)
             return samples
 

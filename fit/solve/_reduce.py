@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._compile import program
-from ..photo._pixels import Columns
+from ..photo._columns import Columns
 from ._gram import tile_columns, weighted_squares
 from ._samples import Samples, tile_at, to_samples
 
@@ -32,6 +32,9 @@ BINS = 256
 
 THIN = 2**15
 """Pixels of a thinned picture: parameters within a few standard errors of theirs, √(all / THIN)."""
+
+THIN_OF_LINES = 2**11
+"""The same where each pixel sees a line of places, and takes as long as twenty."""
 
 MOST_BINNED = 2
 """Fields that can be binned; three would make 17 million bins."""
@@ -78,9 +81,14 @@ def bins(columns: Sequence[Columns]) -> Samples:
     return to_samples(binned, weights=weights, ones=ones)
 
 
+def thin_of(columns: Sequence[Columns]) -> int:
+    """Pixels that stand for all."""
+    return THIN if all(c.stencil is None for c in columns) else THIN_OF_LINES
+
+
 def thinned(columns: Sequence[Columns]) -> Samples:
-    """Every k-th pixel of each photo, counting k times; `THIN` pixels or a little more in all."""
-    step = max(sum(len(c.index) for c in columns) // THIN, 1)
+    """Every k-th pixel of each photo, counting k times; `thin_of` or a little more in all."""
+    step = max(sum(len(c.index) for c in columns) // thin_of(columns), 1)
 
     def part(values: np.ndarray | None) -> np.ndarray | None:
         return None if values is None else values[::step]
@@ -93,6 +101,7 @@ def thinned(columns: Sequence[Columns]) -> Samples:
             light=c.light[::step],
             surface=part(c.surface),
             clipped=part(c.clipped),
+            stencil=None if c.stencil is None else c.stencil.part(np.s_[::step]),
         )
         for c in columns
     ]

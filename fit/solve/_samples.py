@@ -16,14 +16,30 @@ from jaxtyping import Float, Int
 from model_jax._shapes import AnyArray
 
 from .._compile import float64
-from ..photo._pixels import Columns
+from ..photo._columns import Columns
+from ..photo._stencil import Stencil
 
 TILE = 3072
 """Pixels of a tile: its slopes by 8 parameters are 600 kB, which stays in a core's second cache."""
 
+TILE_OF_LINES = 192
+"""The same where each pixel sees a line of places."""
+
 _CAPACITY = 8
 """Samples are stored with room for a power of this many times their least number of tiles, so that
 photos of other sizes find a compiled program; loops run over the tiles in use only."""
+
+
+class StencilTiles(eqx.Module):
+    """What blurred pixels see (`photo._stencil.Stencil`), by tiles, or of one tile."""
+
+    heights: Float[AnyArray, "*T k n"]
+    fields: dict[str, Float[AnyArray, "*T k n"]]
+    inner: dict[str, Float[AnyArray, "*T j n"]]
+    band: Float[AnyArray, "*T 2 n"]
+    height: Float[AnyArray, "*T 1 n"]
+    bend: Float[AnyArray, "*T 1 n"]
+    inside: Float[AnyArray, "*T 6 n"]
 
 
 class Samples(eqx.Module):
@@ -53,6 +69,8 @@ class Samples(eqx.Module):
     """What each channel recorded of red, green and blue; a channel that is a copy of another has a
     row of 0, light 0 and no surface, so that it counts for nothing. None where all are their own.
     Surfaces are mixed already, unless the look dims them."""
+    stencil: StencilTiles | None = None
+    """What blurred pixels see; None where nothing is blurred."""
 
     @property
     def like(self) -> AnyArray:
@@ -73,6 +91,7 @@ class Tile(eqx.Module):
     photo: Int[jax.Array, ""]
     color: Float[jax.Array, "3"]
     mix: Float[jax.Array, "3 3"] | None
+    stencil: StencilTiles | None = None
 
 
 def tile_at(samples: Samples, index: Int[AnyArray, ""]) -> Tile:
@@ -95,6 +114,7 @@ def tile_at(samples: Samples, index: Int[AnyArray, ""]) -> Tile:
         photo=photo,
         color=jnp.asarray(samples.color)[photo],
         mix=None if samples.mix is None else jnp.asarray(samples.mix)[photo],
+        stencil=jax.tree.map(part, samples.stencil),
     )
 
 
@@ -115,7 +135,7 @@ FEW_ROOM = 64
 
 def to_samples(
     columns: Sequence[Columns],
-    tile: int = TILE,
+    tile: int | None = None,
     weights: Sequence[Float[np.ndarray, " _"]] | None = None,
     ones: Sequence[Float[np.ndarray, " _"]] | None = None,
 ) -> Samples:
@@ -124,6 +144,8 @@ def to_samples(
     With weights, of pseudo-pixels: they are fewer, and so is the room for them; `ones` are their
     factors on levels.
     """
+    if tile is None:
+        tile = TILE if all(c.stencil is None for c in columns) else TILE_OF_LINES
     starts = _first_tiles(columns, tile)
     room = capacity(int(starts[-1]), ROOM if weights is None else FEW_ROOM)
 
@@ -147,6 +169,32 @@ def to_samples(
         used=np.asarray(starts[-1], np.int32),
         color=np.stack([c.color for c in columns]),
         mix=_stacked_mix(columns),
+        stencil=_stencil_tiles([c.stencil for c in columns], starts, room, tile),
+    )
+
+
+def _stencil_tiles(
+    parts: Sequence[Stencil | None], starts: Int[np.ndarray, " _"], room: int, tile: int
+) -> StencilTiles | None:
+    """Tiles of all photos' stencils, if they have some."""
+    known = [part for part in parts if part is not None]
+    if not known:
+        return None
+
+    def fill(parts: list[np.ndarray | None]) -> Any:
+        # Of no pixel and no air slopes are no numbers, whatever its weight.
+        return _fill(parts, starts, room, tile, repeat=True)
+
+    names = dict.fromkeys(name for part in known for name in part.fields)
+    inner = dict.fromkeys(name for part in known for name in part.inner)
+    return StencilTiles(
+        heights=fill([part.heights for part in known]),
+        fields={name: fill([part.fields.get(name) for part in known]) for name in names},
+        inner={name: fill([part.inner.get(name) for part in known]) for name in inner},
+        band=fill([part.band for part in known]),
+        height=fill([part.height for part in known]),
+        bend=fill([part.bend for part in known]),
+        inside=fill([part.inside for part in known]),
     )
 
 
@@ -184,22 +232,33 @@ def _first_tiles(columns: Sequence[Columns], tile: int) -> Int[np.ndarray, " _"]
 
 
 def _fill(
-    parts: Sequence[np.ndarray | None], starts: Int[np.ndarray, " _"], room: int, tile: int
+    parts: Sequence[np.ndarray | None],
+    starts: Int[np.ndarray, " _"],
+    room: int,
+    tile: int,
+    *,
+    repeat: bool = False,
 ) -> Any:
-    """One array of tiles, [room, n] or [room, 3, n]; 0 where a part is None, None if all are."""
+    """One array of tiles, [room, n] or [room, k, n]; 0 where a part is None, None if all are.
+
+    repeat: what is left of a photo's last tile is its last pixel again, not 0.
+    """
     known = [part for part in parts if part is not None]
     if not known:
         return None
-    channels = known[0].ndim == 2
-    whole = _zeros((room, 3, tile) if channels else (room, tile), np.result_type(*known))
+    several = known[0].ndim == 2
+    shape = (room, known[0].shape[1], tile) if several else (room, tile)
+    whole = _zeros(shape, np.result_type(*known))
     for part, start in zip(parts, starts, strict=False):
         if part is None or not len(part):
             continue
         full, rest = divmod(len(part), tile)
         body = part[: full * tile].reshape((full, tile, *part.shape[1:]))
-        whole[start : start + full] = body.swapaxes(1, 2) if channels else body
+        whole[start : start + full] = body.swapaxes(1, 2) if several else body
         if rest:
             whole[start + full, ..., :rest] = part[full * tile :].T
+            if repeat:
+                whole[start + full, ..., rest:] = part[-1][:, None]
     return whole
 
 

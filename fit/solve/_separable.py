@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from model_jax import Separable
 
-from ._layout import RESPONSE_ENTRIES, Layout
+from ._layout import Layout
 from ._parameters import Entries, FitParameter, free_directions
 from ._samples import Samples
 from ._scaled import least_squares
@@ -31,12 +31,12 @@ class Places:
         self.factors = layout.slices[fact.factors]
         self.weight = layout.slices[fact.weight]
         self.background = layout.slices["background"]
-        self.black = slice(layout.size + 2, None, RESPONSE_ENTRIES)
-        self.exposure = slice(layout.size, None, RESPONSE_ENTRIES)
+        self.black = slice(layout.size + 2, None, len(layout.response))
+        self.exposure = slice(layout.size, None, len(layout.response))
 
     def response(self, photo: int) -> int:
         """First entry of a photo's response: exposure, gamma, black level."""
-        return self.layout.size + RESPONSE_ENTRIES * photo
+        return self.layout.size + len(self.layout.response) * photo
 
 
 def places_of(layout: Layout) -> Places | None:

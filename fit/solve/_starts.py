@@ -151,7 +151,7 @@ def _look_for(
 ) -> Entries:
     """Amplitude, factors, background of the best picture of the first photo, given the weight."""
     families = {p.family for p in free}
-    exposure, _, level = at.layout.responses(vector)[0]
+    exposure, _, level, *_ = at.layout.responses(vector)[0]
     if exposure == 0:
         return vector
     light = (photo.light - level * photo.one[:, None]) / exposure - photo.surface

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from model_jax import Layers, Look
 
 from .._choices import JpegHandling, LossName, Sampling
-from ..photo._pixels import PhotoLike, size_of
+from ..photo._columns import PhotoLike, size_of
+from ._layout import Layout
 from ._parameters import FitParameter
 
 
@@ -24,6 +25,15 @@ class Task:
     max_steps: int
     named: bool
     """The user named what is free."""
+
+    @property
+    def blurs(self) -> bool:
+        """The photos have a blur."""
+        return any(p.family == "blur" for p in self.parameters)
+
+    @property
+    def layout(self) -> Layout:
+        return Layout(type(self.look), self.blurs)
 
     @property
     def sizes(self) -> list[tuple[int, int]]:

@@ -12,7 +12,7 @@ from PIL import ExifTags, Image
 from fit import FitResult, Photo, fit, load_photo
 from fit.diagnose._compression import _bounded, _read_backwards
 from fit.photo._camera import JpegCamera, _Noise
-from fit.photo._pixels import Columns
+from fit.photo._columns import Columns
 from fit.solve._declare import declare
 from fit.solve._parameters import free_directions, to_entries
 from fit.solve._problem import Point

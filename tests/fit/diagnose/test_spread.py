@@ -21,7 +21,7 @@ from fit.diagnose._spread import (
     stretch_of,
 )
 from fit.photo._blocks import block_numbers
-from fit.photo._pixels import Columns
+from fit.photo._columns import Columns
 from model_jax import Layers, LayersLook
 from model_jax._tone import Linear
 from tests.fit.looks import START, TRUTH, picture

@@ -11,7 +11,7 @@ from PIL import Image
 
 from fit import fit, load_photo
 from fit.cli._cli import app
-from fit.photo._pixels import LUMINANCE
+from fit.photo._columns import LUMINANCE
 from model_jax import Layers, LayersLook, Response, Srgb
 from tests.fit.looks import START, picture
 from tests.scene_text import SCENE
@@ -139,7 +139,7 @@ def test_a_grey_photo_beside_one_in_colour(blue: Layers) -> None:
 
 def test_channels_are_alike_by_chance() -> None:
     """One pixel, and a photo clipped all over, are not called grey."""
-    from fit.photo._pixels import _mix
+    from fit.photo._columns import _mix
 
     assert _mix(np.array([[0.5, 0.5, 0.5]]), None) is None
     assert _mix(np.ones((4, 3)), np.ones((4, 3), np.int8)) is None

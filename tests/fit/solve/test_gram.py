@@ -9,7 +9,8 @@ import optimistix as optx
 import pytest
 import scipy.optimize
 
-from fit.photo._pixels import choose_pixels, take_columns
+from fit.photo._columns import take_columns
+from fit.photo._pixels import choose_pixels
 from fit.solve._declare import declare
 from fit.solve._descend import Atlas, Pass
 from fit.solve._gram import compressed

@@ -1,0 +1,230 @@
+"""What a blurred pixel near a planet's limb sees: the air at some heights above it, and the light
+of the planet beside it.
+
+Along the limb light hardly changes within a blur's reach, so a pixel's light is that of a line
+across it (`model_jax._blur`): its fields are found anew, exactly, at a few places of that line. The
+planet's own light nobody models. It is measured inside the limb, deep enough that no blur reaches
+there, the air in front of it taken off, and goes on to the limb as a line.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from model_jax import InputError, Layers
+from model_jax._blur import MOST_BLUR, REACH, inner_heights, stencil_heights
+from model_jax._intersect import squared_miss_distance
+from model_jax._view import View, pixel_slopes, ray_offsets
+
+from ._widths import fields_between
+
+DEPTH = 3.0
+"""Blur widths inside the limb from which light is the planet's own: 0.1 % of a Gaussian is
+beyond."""
+INSIDE = 8.0
+"""Pixels across the band in which it is measured."""
+ALONG = 16.0
+"""Pixels along the limb over which it is averaged: clouds are as large, noise is not."""
+SLOPE_ALONG = 128.0
+"""Pixels along the limb over which its slope is: a slope reaches over the band's depth, and what it
+is wrong by grows with that."""
+SKY = 24.0
+"""Pixels of sky beyond the air that are looked at, to tell what is there without it."""
+ON_THE_GROUND = 1e-6
+"""Height below the limb, px, at which a ray surely meets the ground."""
+_ROWS = 2**18
+"""Pixels looked at at once."""
+
+
+@dataclass(frozen=True)
+class Inside:
+    """Light of the planet at its limb, as recorded; by the direction in which the limb lies."""
+
+    angle: Float[np.ndarray, " m"]
+    """Direction away from the planet, increasing, -π to π."""
+    light: Float[np.ndarray, "m 6"]
+    """Level at the limb, then its change for each pixel down from it, of each channel."""
+    near: float
+    """Depth below the limb, px, from which it was measured, over `INSIDE`."""
+
+    @property
+    def band(self) -> Float[np.ndarray, "2"]:
+        """Heights, px, that stand for where it was measured: their mean and variance are its."""
+        return -self.near - INSIDE * (0.5 + np.array([0.5, -0.5]) / np.sqrt(3))
+
+    def at(self, angle: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 6"]:
+        found = [np.interp(angle, self.angle, part, period=2 * np.pi) for part in self.light.T]
+        return np.stack(found, axis=-1)
+
+
+@dataclass(frozen=True)
+class Stencil:
+    """What blurred pixels see, each along its line across the limb; K places."""
+
+    heights: Float[np.ndarray, "n k"]
+    """Heights of the places above the limb, px, increasing."""
+    fields: dict[str, Float[np.ndarray, "n k"]]
+    """What the look needs, at each."""
+    inner: dict[str, Float[np.ndarray, "n j"]]
+    """The same in front of the planet: at `inner_heights`, then at `band`."""
+    band: Float[np.ndarray, "n 2"]
+    """Heights where the planet's light was measured (`Inside.band`)."""
+    height: Float[np.ndarray, "n 1"]
+    """The pixel's own."""
+    bend: Float[np.ndarray, "n 1"]
+    """Curvature of the limb, 1/px."""
+    inside: Float[np.ndarray, "n 6"]
+    """Light of the planet beside it, as `Inside.light`."""
+
+    def part(self, chosen: Int[np.ndarray, " m"] | slice) -> "Stencil":
+        """That of some of the pixels."""
+        return Stencil(
+            self.heights[chosen],
+            {name: field[chosen] for name, field in self.fields.items()},
+            {name: field[chosen] for name, field in self.inner.items()},
+            self.band[chosen],
+            self.height[chosen],
+            self.bend[chosen],
+            self.inside[chosen],
+        )
+
+
+def heights_above_limb(
+    view: View, column: Float[np.ndarray, " n"], row: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "2 n"]]:
+    """Height of each pixel above the limb and that of the air's end, px, and the unit vector that
+    leads away from the limb, in columns and rows.
+
+    The height of the ray above the ground, over its slope there.
+    """
+
+    def altitude(right: float, down: float) -> np.ndarray:
+        x, y = pixel_slopes(view, column + right, row + down)
+        squared, _ = squared_miss_distance(x, y, *ray_offsets(view.aim, column + right, row + down))
+        return np.asarray((squared - 1) / (np.sqrt(squared) + 1))
+
+    away = np.stack(
+        [altitude(0.5, 0.0) - altitude(-0.5, 0.0), altitude(0.0, 0.5) - altitude(0.0, -0.5)]
+    )
+    slope = np.hypot(*away)
+    return altitude(0.0, 0.0) / slope, (view.shell - 1) / slope, away / slope
+
+
+def bends_of(
+    view: View, column: Float[np.ndarray, " n"], row: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Curvature of the limb at each pixel, 1/px: how much higher it is `REACH` along it."""
+    height, _, (right, down) = heights_above_limb(view, column, row)
+    sides = [
+        heights_above_limb(view, column - s * REACH * down, row + s * REACH * right)[0]
+        for s in (1.0, -1.0)
+    ]
+    return (sides[0] + sides[1] - 2 * height) / REACH**2
+
+
+def known_view(layers: Layers) -> View:
+    """The view of layers that a blur can be fitted over; `InputError` naming what lacks."""
+    if layers.view is None or layers.planet is None:
+        raise InputError(
+            "response.blur: the layers do not tell how rays pass the planet; give layers of a "
+            "scene, a file that airlight wrote with its scene, or a response without blur"
+        )
+    return layers.view
+
+
+def light_inside(
+    light: Float[np.ndarray, "h w 3"],
+    usable: Bool[np.ndarray, "h w"],
+    layers: Layers,
+    width: float,
+) -> Inside | None:
+    """The planet's light at its limb; None where no pixel tells it.
+
+    Args:
+        light: what was recorded.
+        usable: True where that is known.
+        width: the widest blur to be expected, px.
+    """
+    view, planet_of = known_view(layers), np.asarray(layers.planet)
+    near = DEPTH * min(width, MOST_BLUR)
+    angles, depths, levels = [], [], []
+    rows, columns = usable.shape
+    step = max(1, _ROWS // columns)
+    for start in range(0, rows, step):
+        end = min(start + step, rows)
+        planet = (planet_of[start:end] != 0) & usable[start:end]
+        row, column = np.nonzero(planet)
+        height, _, (right, down) = heights_above_limb(view, column * 1.0, row + start * 1.0)
+        band = (height < -near) & (height > -near - INSIDE)
+        angles.append(np.arctan2(down, right)[band])
+        depths.append(-height[band])
+        levels.append(np.asarray(light[start:end])[row[band], column[band]])
+    angle, depth = np.concatenate(angles), np.concatenate(depths)
+    level = np.concatenate(levels).astype(np.float64)
+    if angle.size < INSIDE:
+        return None
+    order = np.argsort(angle)
+    level_at, level_slope = [
+        _along(angle[order], depth[order], level[order], length) for length in (ALONG, SLOPE_ALONG)
+    ]
+    at, mean, middle, _ = level_at
+    slope = np.stack(
+        [np.interp(at, level_slope[0], part, period=2 * np.pi) for part in level_slope[3].T], -1
+    )
+    return Inside(at, np.concatenate([mean - slope * middle[:, None], slope], axis=-1), near)
+
+
+def _along(
+    angle: Float[np.ndarray, " n"],
+    depth: Float[np.ndarray, " n"],
+    level: Float[np.ndarray, "n 3"],
+    length: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Pieces of the limb of about a length: angle, mean light, mean depth, and slope by depth."""
+    pieces = max(round(len(angle) / (INSIDE * length)), 1)
+    number = np.arange(len(angle)) * pieces // len(angle)
+    count = np.bincount(number, minlength=pieces)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.bincount(number, values, pieces) / count
+
+    middle = mean(depth)
+    off = depth - middle[number]
+    spread = np.maximum(mean(off * off), 1e-12)
+    levels = np.stack([mean(channel) for channel in level.T], axis=-1)
+    slopes = np.stack([mean(off * channel) for channel in level.T], axis=-1) / spread[:, None]
+    return mean(angle), levels, middle, slopes
+
+
+def stencil_of(
+    layers: Layers,
+    index: Int[np.ndarray, " n"],
+    unit: float,
+    needs: Sequence[str],
+    inside: Inside,
+) -> Stencil:
+    """What the pixels of flat indices see of a photo of which the planet's light is known."""
+    view = known_view(layers)
+    row, column = (part.astype(np.float64) for part in np.divmod(index, np.shape(layers.front)[1]))
+    height, top, (right, down) = heights_above_limb(view, column, row)
+
+    def at(heights: np.ndarray, *, ground: bool) -> dict[str, np.ndarray]:
+        off = heights - height[:, None]
+        columns, rows = column[:, None] + off * right[:, None], row[:, None] + off * down[:, None]
+        flat = columns.reshape(-1), rows.reshape(-1)
+        fields = fields_between(layers, flat, unit, needs, ground=ground)
+        return {name: field.reshape(off.shape) for name, field in fields.items()}
+
+    heights = stencil_heights(height, top).T
+    inner = np.minimum(np.concatenate([inner_heights(), inside.band]), -ON_THE_GROUND)
+    return Stencil(
+        heights,
+        at(heights, ground=False),
+        at(inner[None], ground=True),
+        np.broadcast_to(inside.band, (len(height), 2)),
+        height[:, None],
+        bends_of(view, column, row)[:, None],
+        inside.at(np.arctan2(down, right)),
+    )

@@ -1,0 +1,171 @@
+"""A camera's blur: light spread by a Gaussian before it is recorded.
+
+Of a picture that is a convolution (`blurred`). Near a planet's limb, where the light hangs on the
+height above the limb alone, it is a weighted sum over a few heights (`stencil_heights`,
+`stencil_weights`): between them light is taken as parabolas, whose product with the Gaussian has a
+closed form. So any width has its right weights on the same heights, down to none at all, and
+slopes by the width are exact.
+
+Light that is e^(-z/H), or that saturated up to a depth of 5, is met within 0.3 % of its value at
+the limb for H of 0.2 to 1 px or above 10 px, within 0.8 % between, for widths up to 3 px.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+from jaxtyping import Float
+
+from ._safe import safe_divide
+from ._shapes import AnyArray, Scalar
+
+MOST_BLUR = 3.0
+"""Widest blur, px: a photo that is less sharp tells as much at half its size."""
+
+REACH = 4.0 * MOST_BLUR
+"""How far, px, light is spread: beyond four widths of the widest lie 6e-5 of it."""
+
+PANELS = 6
+"""Parabolas of a stencil: twice as many heights, and one more."""
+
+INNER_PANELS = 3
+"""The same for the air in front of the planet."""
+
+FINEST = 0.5
+"""Heights are spaced as the logarithm of z + this many px: finest at the limb, where thin air is
+brightest."""
+
+SHARPEST = 1e-3
+"""Least width, px, in place of 0, where the Gaussian is none; moves no light by 1e-3 px."""
+
+
+def blurred(light: Float[AnyArray, "h w c"], width: Scalar) -> Float[jax.Array, "h w c"]:
+    """A picture's light, spread by a Gaussian.
+
+    Args:
+        light: linear light.
+        width: standard deviation, px, 0 to `MOST_BLUR`.
+
+    Returns:
+        Σ g(i, j) light(x + i, y + j) with weights that add up to 1; beyond its borders a picture
+        is what it is at them. Same shape and dtype; the slope by the width is finite at 0.
+    """
+    light = jnp.asarray(light)
+    taps = int(np.ceil(REACH))
+    steps = jnp.arange(-taps, taps + 1, dtype=light.dtype)
+    squares = safe_divide(steps, jnp.asarray(width, light.dtype), jnp.inf) ** 2
+    weights = jnp.where(steps == 0, 1, jnp.exp(-squares / 2))
+    weights = weights / weights.sum()
+    for axis in (0, 1):
+        around = [(taps, taps) if k == axis else (0, 0) for k in range(3)]
+        rows = jnp.moveaxis(jnp.pad(light, around, mode="edge"), axis, -1)
+        row = rows.reshape(-1, 1, rows.shape[-1])
+        spread = jax.lax.conv_general_dilated(row, weights[None, None], (1,), "VALID")
+        light = jnp.moveaxis(spread.reshape(*rows.shape[:-1], -1), -1, axis)
+    return light
+
+
+def stencil_heights(
+    height: Float[np.ndarray, " n"], top: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "k n"]:
+    """Heights above the limb, px, at which light has to be known for pixels of some heights.
+
+    From the limb, or `REACH` below the pixel, to the air's end, or `REACH` above; a pixel's own is
+    one of them, if it has air. Every second one is the middle of a parabola.
+
+    Args:
+        height: of the pixels' middles, px.
+        top: where the air ends, px.
+    """
+    low, high = np.maximum(height - REACH, 0), np.minimum(top, height + REACH)
+    high = np.maximum(high, low)
+    own = np.clip(height, low, high)
+    at_low, at_own, at_high = (np.log(FINEST + z) for z in (low, own, high))
+    share = (at_own - at_low) / np.where(at_high > at_low, at_high - at_low, 1)
+    below = np.clip(np.round(PANELS * share), 1, PANELS - 1)
+    below = np.where(own >= high, PANELS, np.where(own <= low, 0, below))
+    ends = np.arange(PANELS + 1)[:, None]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        lower = at_low + (at_own - at_low) * (ends / below)
+        upper = at_own + (at_high - at_own) * ((ends - below) / (PANELS - below))
+    edges = np.exp(np.where(ends < below, lower, np.where(ends > below, upper, at_own))) - FINEST
+    # What the logarithm rounded, exactly: the limb is not below itself.
+    edges = np.where(ends == below, own, np.clip(edges, low, high))
+    return _with_middles(edges)
+
+
+def inner_heights() -> Float[np.ndarray, " k"]:
+    """The same below the limb, px, for pixels at any height: from `REACH` to the limb itself."""
+    steps = np.linspace(np.log(FINEST + REACH), np.log(FINEST), INNER_PANELS + 1)
+    return _with_middles(FINEST - np.exp(steps))
+
+
+def _with_middles(edges: Float[np.ndarray, "p ..."]) -> Float[np.ndarray, "k ..."]:
+    """Ends of parabolas, and their middles between them."""
+    found = np.empty((2 * len(edges) - 1, *edges.shape[1:]))
+    found[::2] = edges
+    found[1::2] = (edges[1:] + edges[:-1]) / 2
+    return found
+
+
+def stencil_weights(
+    heights: Float[AnyArray, "k n"],
+    height: Float[AnyArray, " n"],
+    bend: Float[AnyArray, " n"],
+    width: Scalar,
+) -> Float[jax.Array, "k n"]:
+    """How much of a pixel's light comes from each height.
+
+    Args:
+        heights: of `stencil_heights` or `inner_heights`, px.
+        height: the pixels' own, px.
+        bend: curvature of the limb, 1/px: across a line the Gaussian reaches outward of a circle.
+        width: standard deviation, px.
+    """
+    sigma, center = _gaussian(height, bend, width)
+    low, middle, high = heights[:-2:2], heights[1::2], heights[2::2]
+    half = (high - low) / 2
+
+    def part(z: Any) -> jax.Array:
+        return jnp.asarray((z - center[None]) / sigma)
+
+    a, b = part(low), part(high)
+    # The share between, from whichever tail has digits.
+    share = jnp.where(a > 0, ndtr(-a) - ndtr(-b), ndtr(b) - ndtr(a))
+    at_a, at_b = _normal(a), _normal(b)
+    ratio = safe_divide(sigma, half, 0.0)
+    offset = safe_divide(center[None] - middle, half, 0.0)
+    first = offset * share - ratio * (at_b - at_a)
+    second = offset * first + ratio * (ratio * share - (at_b + at_a))
+    share, first, second = (jnp.where(half > 0, m, 0) for m in (share, first, second))
+    weights = jnp.zeros(heights.shape, share.dtype)
+    weights = weights.at[:-2:2].add((second - first) / 2)
+    weights = weights.at[1::2].add(share - second)
+    return weights.at[2::2].add((second + first) / 2)
+
+
+def below_limb(
+    height: Float[AnyArray, " n"], bend: Float[AnyArray, " n"], width: Scalar
+) -> Float[jax.Array, "2 n"]:
+    """How much comes from below the limb, of light that is 1 there, and of light that grows by 1
+    each px down from the limb. Arguments as of `stencil_weights`."""
+    sigma, center = _gaussian(height, bend, width)
+    down = -center / sigma
+    below = ndtr(down)
+    return jnp.stack([below, sigma * (_normal(down) + down * below)])
+
+
+def _gaussian(
+    height: Float[AnyArray, " n"], bend: Float[AnyArray, " n"], width: Scalar
+) -> tuple[jax.Array, jax.Array]:
+    """Width and middle, px, of the Gaussian on a line across the limb."""
+    width = jnp.asarray(width, jnp.result_type(height))
+    sigma = jnp.sqrt(width * width + SHARPEST**2)
+    return sigma, jnp.asarray(height) + bend * (sigma * sigma / 2)
+
+
+def _normal(x: jax.Array) -> jax.Array:
+    """The standard normal density."""
+    return jnp.exp(-x * x / 2) / np.sqrt(2 * np.pi)
