@@ -204,7 +204,7 @@ def fit(
     ] = "area",
     where: Annotated[
         Where,
-        typer.Option(help="Air in front of space (with the sky beside it), of the planet, all."),
+        typer.Option(help="Pixels of the ring, of ring and sky beside it, of the planet, or all."),
     ] = "all",
     solver: Annotated[SolverName, typer.Option(help="Of the descent.")] = "lm",
     max_steps: Annotated[int | None, typer.Option(help="Steps the solver may take.")] = None,
