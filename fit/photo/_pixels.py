@@ -86,7 +86,8 @@ def choose_pixels(
             "render the layers in the photo's size"
         )
     remarks: list[tuple[str, str]] = []
-    reasons = _airless(layers, where) | _elsewhere(layers, where)
+    asked = "response.blur" if blurs else "where: 'sky'"
+    reasons = _airless(layers, where, asked) | _elsewhere(layers, where)
     if layers.surface is None and layers.planet is None:
         why = "the layers do not tell planet from space, so all pixels with air are used"
         remarks.append(("choice of sky pixels", why))
@@ -125,12 +126,12 @@ def choose_pixels(
     return Pixels(used, left_out, excluded, tuple(remarks))
 
 
-def _airless(layers: Layers, where: Where) -> dict[str, Bool[np.ndarray, "h w"]]:
+def _airless(layers: Layers, where: Where, asked: str) -> dict[str, Bool[np.ndarray, "h w"]]:
     """Pixels that no air, or none near enough, is in."""
     none = ~np.asarray(layers.has_air)
     if where != "sky":
         return {"no air": none}
-    view = known_view(layers)
+    view = known_view(layers, asked)
     far = np.zeros(none.shape, bool)
     rows = max(1, 2**18 // none.shape[1])
     for start in range(0, none.shape[0], rows):

@@ -124,12 +124,15 @@ def bends_of(
     return (sides[0] + sides[1] - 2 * height) / REACH**2
 
 
-def known_view(layers: Layers) -> View:
-    """The view of layers that a blur can be fitted over; `InputError` naming what lacks."""
+def known_view(layers: Layers, asked: str = "response.blur") -> View:
+    """The view of layers that a blur, or sky, can be fitted over.
+
+    Raises `InputError` of what was `asked` if they have none.
+    """
     if layers.view is None or layers.planet is None:
         raise InputError(
-            "response.blur: the layers do not tell how rays pass the planet; give layers of a "
-            "scene, a file that airlight wrote with its scene, or a response without blur"
+            f"{asked}: the layers do not tell how rays pass the planet; give layers of a scene, a "
+            "file that airlight wrote with its scene, or leave it out"
         )
     return layers.view
 

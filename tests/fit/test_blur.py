@@ -188,6 +188,8 @@ def test_what_a_blur_needs() -> None:
     ):
         with pytest.raises(InputError, match=told):
             fit.fit(photo, wrong, response=soft)
+    with pytest.raises(InputError, match="where: 'sky': the layers do not tell how rays pass"):
+        fit.fit(photo, replace(layers, view=None), where="sky")
     with pytest.raises(InputError, match="where: 'planet' asks for pixels of which a fit with a"):
         fit.fit(photo, layers, response=soft, where="planet")
     with pytest.raises(InputError, match="some photos have a blur, some none"):
