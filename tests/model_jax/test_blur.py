@@ -156,10 +156,8 @@ def test_a_bent_limb_is_met_by_a_bent_line() -> None:
     found, plain = (
         np.asarray(below_limb(z, np.full(2, bend), width)[0]) for bend in (1 / radius, 0.0)
     )
-    far = np.hypot(radius + z[:, None], across) - radius
     middle = np.sqrt(np.maximum(radius**2 - across**2, 0)) - radius - z[:, None]
     exact = (share * np.asarray(jax.scipy.special.ndtr(middle / width))).sum(axis=1)
-    assert far.min() > 0
     assert np.abs(found - exact).max() < 0.1 * np.abs(plain - exact).max()
 
 
