@@ -246,7 +246,7 @@ def _fit(task: Task, where: Where) -> FitResult:
         widths = np.minimum(np.maximum(widths, MARGIN * found), MOST_BLUR)
         problem = make_problem(task, take(widths))
         columns = problem.columns
-        problem, end = search_in_rounds(task, problem, asked)
+        problem, end = search_in_rounds(task, problem, asked, [end.vector])
     if problem.count > MANY_SAMPLES:
         give_back()  # what compiling left behind
     times.append(perf_counter())

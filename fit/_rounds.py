@@ -13,7 +13,7 @@ from .diagnose._residuals import residuals_of, square_sum_of
 from .photo._columns import Columns
 from .solve._loss import Loss
 from .solve._model import Model, PriorTerm
-from .solve._parameters import FitParameter, to_entries
+from .solve._parameters import Entries, FitParameter, to_entries
 from .solve._problem import Problem
 from .solve._samples import on_device, share_fields, to_samples
 from .solve._search import End, search
@@ -40,16 +40,23 @@ def make_problem(task: Task, columns: tuple[Columns, ...]) -> Problem:
 
 
 def search_in_rounds(
-    task: Task, problem: Problem, asked: tuple[FitParameter, ...]
+    task: Task,
+    problem: Problem,
+    asked: tuple[FitParameter, ...],
+    seeds: list[Entries] | None = None,
 ) -> tuple[Problem, End]:
-    """The search; for all but plain least squares again and again, with the noise found before."""
+    """The search; for all but plain least squares again and again, with the noise found before.
+
+    Args:
+        seeds: where to start from, instead of looking for it.
+    """
     start = to_entries(task.parameters)
     has_priors = any(p.prior is not None for p in asked)
     if task.loss == "linear" and not has_priors and problem.samples.clipped is None:
-        return problem, search(problem, start, asked, task.solver, task.max_steps)
+        return problem, search(problem, start, asked, task.solver, task.max_steps, seeds=seeds)
     believing = replace(problem.samples, clipped=None)
     rough = replace(problem, samples=believing).rough()
-    end = search(rough, start, asked, task.solver, task.max_steps, last=False)
+    end = search(rough, start, asked, task.solver, task.max_steps, seeds=seeds, last=False)
     noise = 0.0
     # Cauchy has valleys of its own; Huber, which has none, shows it the right one.
     losses: list[LossName] = ["huber"] if task.loss == "cauchy" else []

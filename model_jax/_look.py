@@ -128,6 +128,10 @@ class Look(eqx.Module):
     BLEND: ClassVar[Blend] = "add"
     """What is done with the light's alpha, if `air` returns one."""
     SEPARABLE: ClassVar[Separable | None] = None
+    AMPLITUDE: ClassVar[tuple[str, ...]] = ()
+    """Parameters to whose product the light is proportional, channel by channel, all others held:
+    a number, and perhaps factors with a mean of one. A fit then solves for them, and its starts
+    differ in the others only."""
     TERMS: ClassVar[dict[str, str]] = {}
     """What may be added to it (`with_terms`), by name, and what that does."""
     GLSL: ClassVar[str | None] = None
@@ -234,7 +238,7 @@ _TAKEN = {
     *RESPONSE_PARAMETERS,
     # What a look has itself.
     *("background", "air", "NAME", "PARAMETERS", "NEEDS", "LINEAR_IN", "ROUNDINGS", "BLEND"),
-    *("SEPARABLE", "GLSL", "TERMS", "with_terms"),
+    *("SEPARABLE", "AMPLITUDE", "GLSL", "TERMS", "with_terms"),
     # Keys of scene files and exports.
     *("kind", "look", "verdict", "warnings", "color", "width_unit"),
     *("atmosphere_path", "atmosphere_height", "planet_radius"),

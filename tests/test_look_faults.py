@@ -15,6 +15,7 @@ from model_jax import (
     load_look,
     parameter,
 )
+from model_jax.looks._air import AirLook
 from model_jax.looks._check import check_look
 from tests.command import airlight
 from tests.own_looks import Glow
@@ -249,6 +250,38 @@ def test_a_false_product_is_refused() -> None:
         check_look(Single)
     with pytest.raises(InputError, match="look swapped: SEPARABLE: its first field must be in"):
         check_look(Swapped)
+
+
+def test_a_false_amplitude_is_refused() -> None:
+    class Bent(AirLook):
+        """Not proportional to its brightness."""
+
+        LINEAR_IN = ()
+        SEPARABLE = None
+
+        def air(self, fields: Fields) -> tuple[Any, Any]:
+            light, passed = super().air(fields)
+            return light / (1 + light), passed
+
+    class Dimming(AirLook):
+        """What lies behind hangs on it, too."""
+
+        SEPARABLE = None
+
+        def air(self, fields: Fields) -> tuple[Any, Any]:
+            light, _ = super().air(fields)
+            return light, 1 / (1 + self.brightness * fields.lit)
+
+    class Twice(AirLook):
+        """Two numbers."""
+
+        AMPLITUDE = ("brightness", "shadow")
+
+    for kind in (Bent, Dimming):
+        with pytest.raises(InputError, match="AMPLITUDE: the light is not proportional to it"):
+            check_look(kind)
+    with pytest.raises(InputError, match=r"look twice: AMPLITUDE: .* must name one number"):
+        check_look(Twice)
 
 
 def test_scenes_run_no_code_and_name_what_they_miss(

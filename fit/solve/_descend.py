@@ -24,7 +24,7 @@ from .._compile import float64, program
 from ._bijections import to_shares, to_value
 from ._gram import compressed, gram
 from ._model import Model
-from ._parameters import Chart, Entries
+from ._parameters import Chart, Entries, FitParameter
 from ._samples import Samples, tile_at
 from ._scaled import unit_diagonal
 
@@ -53,6 +53,10 @@ class Descent:
     steps: int
     history: tuple[float, ...]
     """Square sum at each accepted step, start first."""
+    at_bound: tuple[FitParameter, ...] = ()
+    """What it holds at a bound."""
+    settled: bool = False
+    """It is known to have ended of itself."""
 
 
 class Atlas(eqx.Module):

@@ -8,16 +8,19 @@ import jax
 import numpy as np
 
 from .._compile import float64
+from ._approach import approach
 from ._descend import descend, make_solver
 from ._parameters import Entries, FitParameter, chart, free_directions, is_outside
 from ._polish import finish, put_inside
 from ._problem import Problem
 from ._reduce import moments
 from ._samples import Samples
-from ._separable import least_square_sum
+from ._separable import is_separable, least_square_sum
 
 AGREE = 1e-6
 """Relative difference of two square sums that counts as one valley."""
+_ELSEWHERE = 1.1
+"""Share of a square sum of the reduced samples from which another is of another valley."""
 _SECOND_STEPS = 64
 """Steps of the second descent, on the reduced samples, where they cost little."""
 
@@ -56,9 +59,16 @@ def second_opinion(
     if np.allclose(away, vector, rtol=1e-3):
         away[directions.any(axis=1)] *= 1.3
     away = put_inside(away, free, problem.parameters)
-    descent = descend(
-        chart(away, free, problem.parameters), problem.reduced, problem.model, other, _SECOND_STEPS
-    )
+    if is_separable(problem.model.layout):
+        near = chart(away, free, problem.parameters)
+        descent = descend(near, problem.reduced, problem.model, other, _SECOND_STEPS)
+    else:
+        with float64():
+            descent = approach(problem, away, free, _SECOND_STEPS, [away])
+            here = problem.rough().square_sum(vector)
+        if not descent.finite or descent.history[-1] > _ELSEWHERE * here:
+            return "higher", vector
+        free = [p for p in free if p not in descent.at_bound]
     if not descent.finite:
         return "higher", vector
     found, gram = finish(problem, descent.entries, free)

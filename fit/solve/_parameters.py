@@ -143,7 +143,7 @@ def free_directions(
     for order in sorted({p.order for p in free}):
         members = [p for p in free if p.order == order]
         if members[0].mean_one:
-            basis = _basis(free, parameters)
+            basis = shares_basis(free, parameters)
             unit = np.zeros((size, basis.shape[1]))
             unit[shares_in(parameters)] = basis
             moved += [tuple(members)] * unit.shape[1]
@@ -194,7 +194,7 @@ def chart(
     distance = np.abs(values - anchor)
     typical = np.array([p.scale for p in plain])
     scale = np.where(distance > 0, distance, typical)
-    basis = _basis(free, parameters)
+    basis = shares_basis(free, parameters)
     members = _members(free, parameters) & bool(basis.shape[1])  # a single factor cannot move
     base = np.where(matrix.any(axis=1), 0.0, vector)
     shares = shares_in(parameters)
@@ -238,7 +238,7 @@ def _members(free: Sequence[FitParameter], parameters: Sequence[FitParameter]) -
     return members
 
 
-def _basis(
+def shares_basis(
     free: Sequence[FitParameter], parameters: Sequence[FitParameter]
 ) -> Float[np.ndarray, "n m"]:
     """Orthonormal directions that keep the sum of the factors of mean one, and tied ones equal."""

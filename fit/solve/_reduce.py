@@ -50,7 +50,7 @@ def moments(samples: Samples) -> Samples:
     surface = samples.surface is not None
     size = len(names) + 3 * surface + 3
     sums = np.asarray(_products(samples, photos, size))
-    rows = np.stack([_factor(matrix) for matrix in sums])  # [photo, row, column]
+    rows = np.stack([factor_of(matrix) for matrix in sums])  # [photo, row, column]
     padded = np.zeros((photos, -(-size // _ROWS) * _ROWS, size))
     padded[:, :size] = rows
     column = {name: padded[..., k] for k, name in enumerate(names)}
@@ -160,7 +160,7 @@ def _products(samples: Samples, photos: int, size: int) -> Float[jax.Array, "pho
     return jax.lax.fori_loop(0, samples.used, add, zero)
 
 
-def _factor(matrix: Float[np.ndarray, "c c"]) -> Float[np.ndarray, "c c"]:
+def factor_of(matrix: Float[np.ndarray, "c c"]) -> Float[np.ndarray, "c c"]:
     """Rows R with RᵀR = matrix, by eigenvalues of the matrix with a unit diagonal."""
     size = np.sqrt(np.diag(matrix))
     size = np.where(size > 0, size, 1.0)

@@ -1,7 +1,7 @@
 """From samples to a checked end point: start, descend, finish exactly, hold what is not told.
 
     starts ──> descend on few pseudo-pixels, or on all ──> exact steps ──> what is told?
-    (_separable) (_reduce, _descend)                       (_polish)       within bounds?
+    (_starts)  (_reduce, _descend; _approach)              (_polish)       within bounds?
 
 What the pixels do not tell is held at its start value, what ran against its bounds is held there;
 each time the rest is fitted again. The end point is judged here, not by the solver: by the square
@@ -15,8 +15,10 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from optimistix import LevenbergMarquardt
 
 from .._compile import float64
+from ._approach import approach
 from ._descend import Descent, Solver, descend, make_solver, square_sums
 from ._flat import Flat, find_flat
 from ._opinion import second_opinion
@@ -32,6 +34,7 @@ from ._parameters import (
 from ._polish import CHECK, finish, is_settled, put_inside, sample_variance
 from ._problem import Point, Problem
 from ._samples import Samples
+from ._separable import is_separable
 from ._starts import start_vectors
 
 _NEAR = 1e-3
@@ -99,6 +102,7 @@ def search(  # long: one loop, and each of its branches changes what the next ro
         first = first or descent
         if not descent.finite:
             return _diverged(held, free, at_bound, flat, first)
+        at_bound, free = [*at_bound, *descent.at_bound], _without(free, descent.at_bound)
         vector, gram = finish(problem, descent.entries, free)
         directions, moved = free_directions(free, parameters)
         if not np.isfinite(gram).all():
@@ -106,8 +110,7 @@ def search(  # long: one loop, and each of its branches changes what the next ro
         found = find_flat(Point(problem, vector, directions), gram, moved)
         if found is not None:
             flat.append(found)
-            gone = {p.name for p in found.held}
-            free = [p for p in free if p.name not in gone]
+            free = _without(free, found.held)
             held = settle_shares(_restored(vector, start, found.held, parameters), free, parameters)
             candidates = None
             continue
@@ -115,7 +118,7 @@ def search(  # long: one loop, and each of its branches changes what the next ro
         near = [p for p in free if p.name not in inside and _is_near_bound(p, vector)]
         if near:
             beyond = is_outside(vector, near)
-            rest = [p for p in free if p not in near]
+            rest = _without(free, near)
             tried = settle_shares(_at_bounds(vector, near, parameters), rest, parameters)
             tried = _best_from(problem, tried, rest, method, max_steps)
             if beyond or problem.square_sum(tried) <= float(gram[-1, -1]) + margin:
@@ -128,7 +131,7 @@ def search(  # long: one loop, and each of its branches changes what the next ro
         low = [p for p in free if p.of(vector) < p.least - _ROUNDED * p.scale]
         if low:
             held = _placed(vector, {p: p.least for p in low}, parameters)
-            at_bound, free = at_bound + low, [p for p in free if p not in low]
+            at_bound, free = at_bound + low, _without(free, low)
             held = settle_shares(held, free, parameters)
             candidates = [_best_from(problem, held, free, method, max_steps)]
             continue
@@ -175,7 +178,12 @@ def _descend(
         return Descent(held, True, 0, ())
     with float64():
         samples = problem.reduced
-        if candidates is None:
+        if not is_separable(problem.model.layout):
+            near = approach(problem, held, free, max_steps, candidates)
+            if (near.settled and type(solver) is LevenbergMarquardt) or not near.finite:
+                return near
+            candidates = [near.entries]
+        elif candidates is None:
             candidates = start_vectors(
                 samples, held, free, problem.parameters, problem.model.layout
             )
@@ -214,7 +222,14 @@ def _best_from(
     max_steps: int,
 ) -> Entries:
     descent = _descend(problem, vector, free, solver, max_steps, [vector])
-    return finish(problem, descent.entries, free)[0] if descent.finite else vector
+    if not descent.finite:
+        return vector
+    return finish(problem, descent.entries, _without(free, descent.at_bound))[0]
+
+
+def _without(free: Sequence[FitParameter], held: Sequence[FitParameter]) -> list[FitParameter]:
+    names = {p.name for p in held}
+    return [p for p in free if p.name not in names]
 
 
 def _loose(

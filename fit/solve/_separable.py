@@ -44,6 +44,11 @@ def places_of(layout: Layout) -> Places | None:
     return None if layout.kind.SEPARABLE is None else Places(layout, layout.kind.SEPARABLE)
 
 
+def is_separable(layout: Layout) -> bool:
+    """Whether it is: where not, starts and descents are `_approach`'s."""
+    return layout.kind.SEPARABLE is not None
+
+
 _GRID = 64
 _ZOOMS = 6
 _ZOOM_GRID = 17

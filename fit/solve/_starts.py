@@ -7,10 +7,10 @@ directions over the quarter circle of weights ≥ 0 cannot miss it. For plain le
 gamma the best of the fan is within the fan's width of the global optimum, which keeps a descent out
 of wrong valleys; a free gamma gets a fan of its own, by taking the light to its power.
 
-Of a look of which nothing is known but its parameters the starts are spread over what is likely.
+Of other looks the starts are spread over what is likely, and `_approach` chooses among them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -252,13 +252,16 @@ def _solved(columns: Sequence[np.ndarray], target: np.ndarray) -> Float[np.ndarr
 
 
 def spread_starts(
-    vector: Entries, free: Sequence[FitParameter], parameters: Sequence[FitParameter]
+    vector: Entries,
+    free: Sequence[FitParameter],
+    parameters: Sequence[FitParameter],
+    but: Collection[str] = ("exposure",),
 ) -> list[Entries]:
     """The vector itself, then others evenly over what is likely (Sobol, 1967).
 
-    Factors of mean one and exposures stay: what the rest is does not hang on them.
+    Factors of mean one stay, and families that the rest does not hang on.
     """
-    moved = [p for p in free if not p.mean_one and p.family != "exposure"]
+    moved = [p for p in free if not p.mean_one and p.family not in but]
     if not moved:
         return [vector]
     points = qmc.Sobol(len(moved), scramble=False).random(SPREAD + 1)[1:]  # the first is all 0

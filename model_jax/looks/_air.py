@@ -83,9 +83,10 @@ class AirLook(Look):
 
     NAME = "air"
     NEEDS = ("lit", "dark")
-    LINEAR_IN = ("lit", "dark")
+    LINEAR_IN: ClassVar[tuple[str, ...]] = ("lit", "dark")
     ROUNDINGS = (5.0, 0.0)
-    SEPARABLE = Separable("brightness", "tint", "shadow", "lit", "dark")
+    SEPARABLE: ClassVar[Separable | None] = Separable("brightness", "tint", "shadow", "lit", "dark")
+    AMPLITUDE = ("brightness", "tint")
 
     TERMS: ClassVar[dict[str, str]] = {
         "density": "air thins out exponentially with height",

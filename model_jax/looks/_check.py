@@ -4,6 +4,7 @@ What a user would meet hours later as a NaN or a wrong reduction is refused here
 """
 
 import itertools
+import math
 import re
 from functools import cache
 from typing import Any, get_args
@@ -108,6 +109,8 @@ def _check_air(kind: type[Look]) -> None:
                     f"the gradient by {name} is not finite {where}; mend air (a power, root or "
                     "quotient at 0)"
                 )
+    if kind.AMPLITUDE:
+        _check_amplitude(kind)
     if kind.SEPARABLE is not None:
         _check_separable(kind)
 
@@ -162,6 +165,9 @@ def _places() -> dict[str, Float[np.ndarray, " n"]]:
 _COLOR = np.array([0.3, 0.6, 1.0], np.float32)
 """Of the air: channels apart, so that none passes for another."""
 
+_FACTORS = np.array([0.5, 1.0, 1.5])
+"""Of mean one."""
+
 
 def _light(look: Look, fields: dict[str, Any]) -> tuple[AnyArray, AnyArray | None, AnyArray]:
     air = air_light(look, fields, _COLOR)
@@ -207,6 +213,30 @@ def _check_linear(kind: type[Look], look: Look) -> None:
         raise InputError(f"light is not linear in {', '.join(kind.LINEAR_IN)}; correct LINEAR_IN")
 
 
+def _check_amplitude(kind: type[Look]) -> None:
+    """The light is proportional to the product of AMPLITUDE, on which nothing else hangs."""
+    known = [kind.PARAMETERS.get(name) for name in kind.AMPLITUDE]
+    found = [about for about in known if about is not None]
+    numbers = [about for about in found if about.shape == "number" and about.lower == 0]
+    factors = [about for about in found if about.mean_one]
+    if len(found) < len(known) or len(numbers) != 1 or len(numbers) + len(factors) != len(known):
+        raise InputError(
+            f"AMPLITUDE: {shown(kind.AMPLITUDE)} must name one number ≥ 0, and perhaps factors of "
+            "mean one"
+        )
+    by = {name: _FACTORS if kind.PARAMETERS[name].mean_one else 1.7 for name in kind.AMPLITUDE}
+    ones = {name: np.divide(value, value) for name, value in by.items()}
+    fields = _fields(kind)
+    (light, *passed), (other, *others) = (_jitted(kind(**part), fields) for part in (ones, by))
+    said = np.asarray(light, np.float64)[..., :3] * math.prod(by.values())
+    apart = np.abs(np.asarray(other, np.float64)[..., :3] - said).max()
+    same = jax.tree.all(jax.tree.map(np.array_equal, passed, others))
+    if apart > LINEAR * np.abs(said).max() or not same:
+        raise InputError(
+            "AMPLITUDE: the light is not proportional to it; correct it or leave it out"
+        )
+
+
 def _check_separable(kind: type[Look]) -> None:
     """The light is the product and sum that SEPARABLE says."""
     fact = kind.SEPARABLE
@@ -226,10 +256,9 @@ def _check_separable(kind: type[Look]) -> None:
             "SEPARABLE: its first field must be in every scene, and nothing behind it be dimmed"
         )
     fields = _fields(kind)
-    factors = np.array([0.5, 1.0, 1.5])
-    look = kind(**{fact.amplitude: 1.7, fact.factors: factors, fact.weight: 0.4})
+    look = kind(**{fact.amplitude: 1.7, fact.factors: _FACTORS, fact.weight: 0.4})
     light = np.asarray(_jitted(look, fields)[0], np.float64)
     width = fields[fact.first] + 0.4 * fields[fact.second]
-    said = 1.7 * _COLOR * factors * width[:, None]
+    said = 1.7 * _COLOR * _FACTORS * width[:, None]
     if light.shape != said.shape or np.abs(light - said).max() > LINEAR * np.abs(said).max():
         raise InputError("SEPARABLE: the light is not that product; correct it or leave it out")
