@@ -3,10 +3,10 @@
     python examples/photos.py                       # every photo, `layers` and the look below
     python examples/photos.py crescent --look air+density
 
-Each photo's ring is fitted, every pixel of it. Of the whole Earth and of the limb scenes come from
-positions and lens (`make_photo_scenes.py`); of the others from the disc in the picture, and what
-was assumed beside it stands in `ASSUMED`. The photos lie in `../shared/data` from the project's
-root, or in the folder named in AIRLIGHT_DATA.
+Each photo's ring is fitted, every pixel of it; with `+blur`, ring and sky. Of the whole Earth and
+of the limb scenes come from positions and lens (`make_photo_scenes.py`); of the others from the
+disc in the picture, and what was assumed beside it stands in `ASSUMED`. The photos lie in
+`../shared/data` from the project's root, or in the folder named in AIRLIGHT_DATA.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from make_photo_scenes import (
 )
 
 from fit import FitResult, fit, load_photo
-from model_jax import Atmosphere, Camera, Planet, Scene, Sun, analytic_layers, find_look
+from model_jax import Atmosphere, Camera, Planet, Response, Scene, Sun, analytic_layers, find_look
 from render_gl import load_scene
 
 LOOKS = ("layers", "air+density+saturation")
@@ -85,11 +85,13 @@ def photos(data: Path) -> dict[str, tuple[str, Callable[[], Scene]]]:
 
 
 def fit_ring(photo: Path, scene: Scene, look: str) -> FitResult:
-    """The ring of a photo, every pixel, all that the look has free."""
-    kind = find_look(look)
+    """The ring of a photo, every pixel, all that the look has free; with a blur as it comes."""
+    kind = find_look(look.removesuffix("+blur"))
     names = [n for n in kind.PARAMETERS if n != "shadow" or scene.sun is not None]
-    layers = analytic_layers(scene)
-    return fit(load_photo(photo), layers, kind(), where="ring", sampling="point", free=names)
+    layers, picture = analytic_layers(scene), load_photo(photo)
+    if look.endswith("+blur"):
+        return fit(picture, layers, kind(), response=Response(blur=1.0), free=[*names, "blur"])
+    return fit(picture, layers, kind(), where="ring", sampling="point", free=names)
 
 
 def cell(result: FitResult) -> str:
@@ -98,6 +100,9 @@ def cell(result: FitResult) -> str:
     height = result.parameters.get("scale_height")
     if height is not None:
         explained += f", {height.value:.1f} km"
+    blur = result.parameters.get("blur")
+    if blur is not None:
+        explained += f", {blur.value:.2f} px"
     return f"{explained}, {result.verdict}"
 
 

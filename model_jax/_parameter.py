@@ -14,6 +14,9 @@ Shape = Literal["number", "rgb", "either"] | int
 PER_UNIT = "1/width_unit"
 """Unit of what is per unit of width: in another scene it is another number."""
 
+LENGTH = "length"
+"""Unit of what is in the scene's own."""
+
 
 @dataclass(frozen=True)
 class Parameter:

@@ -102,7 +102,7 @@ def approach(
         linear = {"exposure", *(p.family for p in passes.box.levels)}
         if passes.box.amplitude is not None:
             linear.add(passes.box.amplitude.family)
-        starts = spread_starts(held, free, problem.parameters, but=linear)
+        starts = spread_starts(held, free, problem.parameters, linear, problem.ranges)
     placed = [_with_linear(put_inside(v, free, problem.parameters), passes) for v in starts]
     placed = sorted((p for p in placed if np.isfinite(p[0])), key=lambda p: p[0])[:DESCENTS]
     steps = max_steps if len(placed) == 1 else FIRST_STEPS

@@ -65,7 +65,7 @@ def second_opinion(
     else:
         with float64():
             descent = approach(problem, away, free, _SECOND_STEPS, [away])
-            here = problem.rough().square_sum(vector)
+            here = float(problem.rough().gram(vector, directions)[-1, -1])
         if not descent.finite or descent.history[-1] > _ELSEWHERE * here:
             return "higher", vector
         free = [p for p in free if p not in descent.at_bound]

@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from model_jax._parameter import LENGTH, PER_UNIT
+
 from .._compile import float64
 from ..photo._columns import Columns
 from ._descend import exact_gram
@@ -15,6 +17,13 @@ from ._model import Model
 from ._parameters import Entries, FitParameter
 from ._reduce import MOST_BINNED, bins, moments, thin_of, thinned
 from ._samples import Samples, on_device, to_samples
+
+SHALLOWEST = 1 / 300
+"""A length that may be of air, as a share of its height: of a shell of 100 km, a third."""
+
+DEPTHS = (0.1, 100.0)
+"""Optical depths that may be, on the longest way through uniform air; where it thins out, ways are
+shorter."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +66,21 @@ class Problem:
     def light_max(self) -> float:
         """Largest |light|."""
         return max(_largest(c.light) for c in self.columns)
+
+    @cached_property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """What is likely of lengths and of what is per width, as far as the air's size tells."""
+        height = width = 0.0
+        for c in self.columns:
+            if {"begin", "end", "altitude", "per_length"} <= c.fields.keys():
+                through = c.fields["end"] - c.fields["begin"]
+                height = max(height, float(c.fields["altitude"][through > 0].max(initial=0.0)))
+                width = max(width, float((through * c.fields["per_length"]).max(initial=0.0)))
+            elif "lit" in c.fields:
+                width = max(width, float((c.fields["lit"] + c.fields.get("dark", 0.0)).max()))
+        likely = {LENGTH: (SHALLOWEST * height, height)} if height > 0 else {}
+        depths = {PER_UNIT: (DEPTHS[0] / width, DEPTHS[1] / width)} if width > 0 else {}
+        return likely | depths
 
     @property
     def plain(self) -> bool:

@@ -162,7 +162,7 @@ def _products(samples: Samples, photos: int, size: int) -> Float[jax.Array, "pho
 
 def factor_of(matrix: Float[np.ndarray, "c c"]) -> Float[np.ndarray, "c c"]:
     """Rows R with RᵀR = matrix, by eigenvalues of the matrix with a unit diagonal."""
-    size = np.sqrt(np.diag(matrix))
+    size = np.sqrt(np.maximum(np.diag(matrix), 0))  # rounding may take a 0 below
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(matrix / size / size[:, None])
     return np.asarray(np.sqrt(np.maximum(values, 0))[:, None] * vectors.T * size)

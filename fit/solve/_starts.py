@@ -10,7 +10,7 @@ of wrong valleys; a free gamma gets a fan of its own, by taking the light to its
 Of other looks the starts are spread over what is likely, and `_approach` chooses among them.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -256,10 +256,15 @@ def spread_starts(
     free: Sequence[FitParameter],
     parameters: Sequence[FitParameter],
     but: Collection[str] = ("exposure",),
+    ranges: Mapping[str, tuple[float, float]] | None = None,
 ) -> list[Entries]:
     """The vector itself, then others evenly over what is likely (Sobol, 1967).
 
-    Factors of mean one stay, and families that the rest does not hang on.
+    Factors of mean one stay.
+
+    Args:
+        but: families that stay as well, for the rest does not hang on them.
+        ranges: by unit, what is likely in the scene at hand; without, it is near the vector.
     """
     moved = [p for p in free if not p.mean_one and p.family not in but]
     if not moved:
@@ -269,15 +274,20 @@ def spread_starts(
     for point in points:
         start = vector.copy()
         for share, p in zip(point, moved, strict=True):
-            value = _likely(p, float(p.of(vector)), float(share))
+            value = _likely(p, float(p.of(vector)), float(share), ranges or {})
             for q in followers(p, parameters):
                 start[list(q.entries)] = value
         found.append(settle_shares(start, free, parameters))
     return found
 
 
-def _likely(p: FitParameter, value: float, share: float) -> float:
+def _likely(
+    p: FitParameter, value: float, share: float, ranges: Mapping[str, tuple[float, float]]
+) -> float:
     """The value at a share of what a parameter may likely be."""
+    if p.unit in ranges:
+        low, high = np.clip(ranges[p.unit], p.lower, p.upper)
+        return float(low * (high / low) ** share) if low > 0 else value
     if p.lower > 0 and np.isfinite(p.upper):
         return float(p.lower * (p.upper / p.lower) ** share)
     if np.isfinite(p.lower) and np.isfinite(p.upper):

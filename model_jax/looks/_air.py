@@ -14,14 +14,14 @@ from .._column import columns, lengths_to, mean_transmittance
 from .._errors import InputError
 from .._fields import PLACES, Fields
 from .._look import Look, Separable, parameter
-from .._parameter import PER_UNIT, Shape
+from .._parameter import LENGTH, PER_UNIT, Shape
 from .._shapes import Scalar, Three
 
 
 def _scale_height(shape: Shape) -> Any:
     return parameter(
         "height in which the air thins out to 1/e",
-        unit="length",
+        unit=LENGTH,
         lower=0.0,
         default=8.0 if shape == "number" else (8.0, 8.0, 8.0),
         scale=8.0,
@@ -39,7 +39,7 @@ def _parameters(term: str) -> dict[str, tuple[Any, Any]]:
     if term == "top":
         about = parameter(
             "height at which the air ends, if below the shell's",
-            unit="length",
+            unit=LENGTH,
             lower=0.0,
             default=100.0,
             scale=100.0,

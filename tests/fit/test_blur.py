@@ -152,15 +152,15 @@ def test_without_blur_the_model_is_the_sharp_one() -> None:
 
 
 def test_blur_and_air_are_found() -> None:
-    """Each within four standard errors of what the photo was made of."""
+    """Each within four standard errors of what the photo was made of, from the defaults."""
     scene, look = planet((0.4, 0.45, 0.5)), air()
     noise = np.random.default_rng(1).normal(0, 0.004, (120, 120, 3))
     photo = (photo_of(scene, look, 1.3) + noise).astype(np.float32)
     for border in (np.s_[:8], np.s_[-8:], np.s_[:, :8], np.s_[:, -8:]):
         photo[border] = np.nan  # see above
     layers = analytic_layers(replace(scene, planet=Planet(RADIUS)))
-    start = air(scale_height=70.0, brightness=30.0)
-    found = fit.fit(photo, layers, start, response=Response(blur=0.8))
+    look = find_look("air+density+saturation")()
+    found = fit.fit(photo, layers, look, response=Response(blur=1.0))
     assert found.verdict == "converged", found.message
     blur = found.photos[0].response.blur
     assert blur is not None

@@ -1,0 +1,71 @@
+"""Coordinates within bounds, and descents in them from the defaults."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+import fit
+from fit.solve._box import Box
+from fit.solve._declare import declare
+from fit.solve._parameters import to_entries
+from model_jax import Response, analytic_layers, composite, find_look
+from tests.model_jax.scenes import RADIUS, scene_of
+
+AIR = find_look("air+density+saturation")
+HEIGHT = 0.02 * RADIUS
+TRUE = {
+    "scale_height": HEIGHT,
+    "brightness": 60.0,
+    "shadow": 0.3,
+    "tint": np.array([0.8, 1.1, 1.1]),
+    "background": 0.01,
+}
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {},
+        {"free": ["tint", "scale_height"]},  # no amplitude: factors along their basis
+        {"free": ["brightness", "tint.r", "tint.g", "background"]},  # a factor that stays
+        {"free": ["brightness", "extinction"]},
+        {"bounds": {"tint.r": (0.5, 2.0)}},  # a part's bound is none of the product
+        {"bounds": {"brightness": (1.0, 90.0), "background": (-1.0, 1.0)}},
+        {"tied": {"extinction.g": "extinction.r", "tint.b": "tint.g"}},
+    ],
+)
+def test_coordinates_are_where_their_slopes_lead(asked: Mapping[str, object]) -> None:
+    """A place read and set is the same place, factors keep their mean, and slopes are those of
+    `placed`: half the difference of two of its values, a step of 1e-4 apart, is good to 1e-7."""
+    parameters = declare(AIR(**TRUE), [Response()], **asked)  # type: ignore[arg-type]
+    free = [p for p in parameters if p.role == "free"]
+    box, vector = Box(free, parameters, AIR.AMPLITUDE), to_entries(parameters)
+    values = box.values(vector)
+    assert len(values) == len(box.lower) == len(box.upper) == box.slopes(vector).shape[1]
+    np.testing.assert_allclose(box.placed(vector, values), vector, rtol=1e-14)
+    slopes = box.slopes(vector)
+    factors = next(p.entries[0] for p in parameters if p.mean_one)
+    for column, slope in enumerate(slopes.T):
+        step = 1e-4 * np.eye(len(values))[column]
+        up, down = (box.placed(vector, values + side * step) for side in (1, -1))
+        np.testing.assert_allclose((up - down) / 2e-4, slope, rtol=1e-6, atol=1e-7)
+        assert up[factors : factors + 3].sum() == pytest.approx(3, rel=1e-14)
+    assert (values >= box.lower).all()
+    assert (values <= box.upper).all()
+
+
+@pytest.mark.parametrize(("extinction", "unit"), [(0.0, 1.0), (20.0, 1.0), (20.0, 1e3)])
+def test_thinning_air_is_found_from_the_defaults(extinction: float, unit: float) -> None:
+    """In kilometres and metres; without dimming, where the best fit lies at bounds of 0."""
+    scene = scene_of((0.0, -3.0, 0.4), size=(97, 73), fov=45.0, shell=0.2, radius=RADIUS * unit)
+    layers = analytic_layers(scene)
+    look = AIR(**TRUE | {"scale_height": HEIGHT * unit}, extinction=np.full(3, extinction))
+    picture = np.array(composite(layers, look)[..., :3], np.float32)
+    photo = picture + np.random.default_rng(4).normal(0, 1e-3, picture.shape)
+    found = fit.fit(photo.astype(np.float32), layers, AIR(), sampling="point")
+    assert found.verdict == ("converged" if extinction else "at_bound"), found.message
+    for name, true in (("scale_height", HEIGHT * unit), ("brightness", 60.0), ("shadow", 0.3)):
+        p = found.parameters[name]
+        assert p.stderr is not None
+        assert abs(p.value - true) < 4 * p.stderr, (name, p.value, p.stderr)
