@@ -146,7 +146,7 @@ def _descend(passes: _Passes, values: Float[np.ndarray, " n"], max_steps: int) -
     box = passes.box
     found = least_squares(
         passes.residuals,
-        values,
+        np.clip(values, box.lower, box.upper),  # rounding may have led out
         passes.slopes,
         (box.lower, box.upper),
         x_scale="jac",
