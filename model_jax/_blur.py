@@ -1,8 +1,8 @@
 """A camera's blur: light spread by a Gaussian before it is recorded.
 
 Of a picture that is a convolution (`blurred`). Near a planet's limb, where the light hangs on the
-height above the limb alone, it is a weighted sum over a few heights (`stencil_heights`,
-`stencil_weights`): between them light is taken as parabolas, whose product with the Gaussian has a
+height above the limb alone, it is a weighted sum over a few heights (`profile_heights`,
+`line_weights`): between them light is taken as parabolas, whose product with the Gaussian has a
 closed form. So any width has its right weights on the same heights, down to none at all, and
 slopes by the width are exact.
 
@@ -10,6 +10,7 @@ Light that is e^(-z/H), or that saturated up to a depth of 5, is met within 0.3 
 the limb for H of 0.2 to 1 px or above 10 px, within 0.8 % between, for widths up to 3 px.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -27,8 +28,8 @@ MOST_BLUR = 3.0
 REACH = 4.0 * MOST_BLUR
 """How far, px, light is spread: beyond four widths of the widest lie 6e-5 of it."""
 
-PANELS = 6
-"""Parabolas of a stencil: twice as many heights, and one more."""
+PANELS = 12
+"""Parabolas from the limb to the air's end: twice as many heights, and one more."""
 
 INNER_PANELS = 3
 """The same for the air in front of the planet."""
@@ -67,32 +68,12 @@ def blurred(light: Float[AnyArray, "h w c"], width: Scalar) -> Float[jax.Array, 
     return light
 
 
-def stencil_heights(
-    height: Float[np.ndarray, " n"], top: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "k n"]:
-    """Heights above the limb, px, at which light has to be known for pixels of some heights.
-
-    From the limb, or `REACH` below the pixel, to the air's end, or `REACH` above; a pixel's own is
-    one of them, if it has air. Every second one is the middle of a parabola.
-
-    Args:
-        height: of the pixels' middles, px.
-        top: where the air ends, px.
-    """
-    low, high = np.maximum(height - REACH, 0), np.minimum(top, height + REACH)
-    high = np.maximum(high, low)
-    own = np.clip(height, low, high)
-    at_low, at_own, at_high = (np.log(FINEST + z) for z in (low, own, high))
-    share = (at_own - at_low) / np.where(at_high > at_low, at_high - at_low, 1)
-    below = np.clip(np.round(PANELS * share), 1, PANELS - 1)
-    below = np.where(own >= high, PANELS, np.where(own <= low, 0, below))
-    ends = np.arange(PANELS + 1)[:, None]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        lower = at_low + (at_own - at_low) * (ends / below)
-        upper = at_own + (at_high - at_own) * ((ends - below) / (PANELS - below))
-    edges = np.exp(np.where(ends < below, lower, np.where(ends > below, upper, at_own))) - FINEST
-    # What the logarithm rounded, exactly: the limb is not below itself.
-    edges = np.where(ends == below, own, np.clip(edges, low, high))
+def profile_heights(top: Float[np.ndarray, " m"]) -> Float[np.ndarray, "k m"]:
+    """Heights above the limb, px, at which light has to be known on lines across it: from the limb
+    to the air's end, px. Every second one is the middle of a parabola."""
+    share = np.linspace(0, 1, PANELS + 1)[:, None]
+    edges = FINEST * np.expm1(share * np.log1p(np.maximum(top, 0) / FINEST))
+    edges[-1] = np.maximum(top, 0)  # what the logarithm rounded
     return _with_middles(edges)
 
 
@@ -110,7 +91,8 @@ def _with_middles(edges: Float[np.ndarray, "p ..."]) -> Float[np.ndarray, "k ...
     return found
 
 
-def stencil_weights(
+@jax.custom_jvp
+def line_weights(
     heights: Float[AnyArray, "k n"],
     height: Float[AnyArray, " n"],
     bend: Float[AnyArray, " n"],
@@ -119,26 +101,35 @@ def stencil_weights(
     """How much of a pixel's light comes from each height.
 
     Args:
-        heights: of `stencil_heights` or `inner_heights`, px.
+        heights: of `profile_heights` or `inner_heights`, px.
         height: the pixels' own, px.
         bend: curvature of the limb, 1/px: across a line the Gaussian reaches outward of a circle.
-        width: standard deviation, px.
+        width: standard deviation, px; the only one that slopes are known by.
     """
+    return _line_weights(heights, height, bend, width)
+
+
+@line_weights.defjvp
+def _line_weights_jvp(given: Any, tangents: Any) -> Any:
+    """The slope is a number of pixel and height, found once, however many parameters push it."""
+    *places, width = given
+    width = jnp.asarray(width, jnp.result_type(places[0]))
+    found, slope = jax.jvp(partial(_line_weights, *places), (width,), (jnp.ones_like(width),))
+    return found, slope * tangents[-1]
+
+
+def _line_weights(heights: Any, height: Any, bend: Any, width: Any) -> jax.Array:
     sigma, center = _gaussian(height, bend, width)
-    low, middle, high = heights[:-2:2], heights[1::2], heights[2::2]
-    half = (high - low) / 2
-
-    def part(z: Any) -> jax.Array:
-        return jnp.asarray((z - center[None]) / sigma)
-
-    a, b = part(low), part(high)
+    edges, middle = heights[::2], heights[1::2]
+    half = (edges[1:] - edges[:-1]) / 2
+    z = jnp.asarray((edges - center[None]) / sigma)
+    below, above, density = ndtr(z), ndtr(-z), _normal(z)
     # The share between, from whichever tail has digits.
-    share = jnp.where(a > 0, ndtr(-a) - ndtr(-b), ndtr(b) - ndtr(a))
-    at_a, at_b = _normal(a), _normal(b)
+    share = jnp.where(z[:-1] > 0, above[:-1] - above[1:], below[1:] - below[:-1])
     ratio = safe_divide(sigma, half, 0.0)
     offset = safe_divide(center[None] - middle, half, 0.0)
-    first = offset * share - ratio * (at_b - at_a)
-    second = offset * first + ratio * (ratio * share - (at_b + at_a))
+    first = offset * share - ratio * (density[1:] - density[:-1])
+    second = offset * first + ratio * (ratio * share - (density[1:] + density[:-1]))
     share, first, second = (jnp.where(half > 0, m, 0) for m in (share, first, second))
     weights = jnp.zeros(heights.shape, share.dtype)
     weights = weights.at[:-2:2].add((second - first) / 2)
@@ -150,7 +141,7 @@ def below_limb(
     height: Float[AnyArray, " n"], bend: Float[AnyArray, " n"], width: Scalar
 ) -> Float[jax.Array, "2 n"]:
     """How much comes from below the limb, of light that is 1 there, and of light that grows by 1
-    each px down from the limb. Arguments as of `stencil_weights`."""
+    each px down from the limb. Arguments as of `line_weights`."""
     sigma, center = _gaussian(height, bend, width)
     down = -center / sigma
     below = ndtr(down)

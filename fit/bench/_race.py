@@ -34,6 +34,7 @@ from ..solve._descend import exact_gram
 from ..solve._parameters import free_directions, to_entries
 from ..solve._search import search
 from ._case import FREE, NOISE_SEED, SIZE, Row, case_problem, make_picture
+from ._passes import look_rows
 from ._peers import dense_fit, scipy_fit
 from ._processes import compile_row, memory_row
 
@@ -97,6 +98,7 @@ def run_bench(
         ratio = peer.median / ours.median
         note = f"{ratio:.1f} times the time of airlight's first row; at least {target} wanted"
         rows[rows.index(peer)] = replace(peer, note=note)
+    rows += look_rows(layers, photo, lambda run: _times(run, repeats), progress)
     progress("compiling in a fresh process")
     rows.append(compile_row(quick))
     rows.append(_other_size_row(width, height))

@@ -120,8 +120,9 @@ def find_doubts(
         here = replace(point, problem=point.problem.beside(alone(part)))
         slopes = [slope for _, slope in influences(here, influence)]
         near, place = _neighbours(part.index, of)
-        around = point.problem.beside(alone(unlit_columns(of, near, part, unit)))
-        light = predictions_of(around, point.vector)[number]
+        unlit = unlit_columns(of, near, part, unit)
+        light = predictions_of(point.problem.beside(alone(unlit)), point.vector)[number]
+        light = light[np.argsort(unlit.index, kind="stable")]  # as `near` is
         seen, *beside = np.concatenate([light, np.full((1, 3), np.nan)])[place]
         patch = Patch(part, size, seen, np.stack(beside))
         left = np.where(believed[number][chosen], residuals[number][chosen], np.nan)

@@ -12,7 +12,7 @@ from model_jax import InputError, Layers, LayersLook, Look
 from model_jax._composite import dims
 
 from ._photo import Photo
-from ._stencil import Inside, Stencil, light_inside, stencil_of
+from ._stencil import Inside, Stencil, along_limb, light_inside, stencil_of
 from ._widths import fields_at, rounding_of_widths
 
 PhotoLike = Photo | np.ndarray | jax.Array
@@ -23,7 +23,8 @@ class Columns:
     """The used pixels of one photo, float64; widths in `width_unit`s of the first photo."""
 
     index: Int[np.ndarray, " n"]
-    """Flat index of each in its photo; row by row, but those with a clipped sample last."""
+    """Flat index of each in its photo; row by row, but those with a clipped sample last. With a
+    stencil along the limb instead."""
     fields: dict[str, Float[np.ndarray, " n"]]
     """What the look needs, by name, as far as the layers have it."""
     light: Float[np.ndarray, "n 3"]
@@ -146,12 +147,14 @@ def take_columns(
     least the light half a code below it, one at code 0 at most the light half a code above.
     """
     index = np.flatnonzero(used).astype(np.int32)  # `load_photo` reads fewer than 2^28
+    if inside is not None:
+        index = index[along_limb(layers, index)]
     clipped = None
     if isinstance(photo, Photo) and photo.codes is not None:
         clipped = _clipped(photo, photo.codes.reshape(-1, 3)[index])
         if not clipped.any():
             clipped = None
-    if clipped is not None:
+    if clipped is not None and inside is None:
         last = np.argsort(clipped.any(axis=1), kind="stable")
         index, clipped = index[last], clipped[last]
     light = light_at(photo, index)
@@ -188,8 +191,10 @@ def unlit_columns(
 ) -> Columns:
     """Any pixels of a photo of which `like` has the used ones, without light: for predictions.
 
-    Where there is no air its fields are 0.
+    Where there is no air its fields are 0. With a stencil they come along the limb.
     """
+    if like.inside is not None:
+        index = index[along_limb(layers, index)]
     air = np.asarray(layers.has_air).reshape(-1)[index]
     with np.errstate(invalid="ignore"):
         fields = fields_at(layers, index, width_unit, tuple(like.fields))

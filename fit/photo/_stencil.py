@@ -2,19 +2,20 @@
 of the planet beside it.
 
 Along the limb light hardly changes within a blur's reach, so a pixel's light is that of a line
-across it (`model_jax._blur`): its fields are found anew, exactly, at a few places of that line. The
-planet's own light nobody models. It is measured inside the limb, deep enough that no blur reaches
-there, the air in front of it taken off, and goes on to the limb as a line.
+across it (`model_jax._blur`): fields are found anew, exactly, at a few places of lines every few
+pixels along the limb, and light between two of them is in proportion. The planet's own light nobody
+models. It is measured inside the limb, deep enough that no blur reaches there, the air in front of
+it taken off, and goes on to the limb as a line.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from model_jax import InputError, Layers
-from model_jax._blur import MOST_BLUR, REACH, inner_heights, stencil_heights
+from model_jax._blur import MOST_BLUR, REACH, inner_heights, profile_heights
 from model_jax._intersect import squared_miss_distance
 from model_jax._view import View, pixel_slopes, ray_offsets
 
@@ -32,6 +33,10 @@ SLOPE_ALONG = 128.0
 is wrong by grows with that."""
 SKY = 24.0
 """Pixels of sky beyond the air that are looked at, to tell what is there without it."""
+Way = float | Float[np.ndarray, " n"]
+
+LINES = 4.0
+"""Pixels along the limb from line to line."""
 ON_THE_GROUND = 1e-6
 """Height below the limb, px, at which a ray surely meets the ground."""
 _ROWS = 2**18
@@ -61,33 +66,43 @@ class Inside:
 
 @dataclass(frozen=True)
 class Stencil:
-    """What blurred pixels see, each along its line across the limb; K places."""
+    """What blurred pixels see: lines across the limb, and where beside them each pixel is.
 
-    heights: Float[np.ndarray, "n k"]
-    """Heights of the places above the limb, px, increasing."""
-    fields: dict[str, Float[np.ndarray, "n k"]]
+    Pixels come by their `angle`, and lines too, so that the pixels of a tile lie between two.
+    """
+
+    lines: Float[np.ndarray, " m"]
+    """Direction away from the planet of each line, increasing."""
+    heights: Float[np.ndarray, "m k"]
+    """Heights of its places above the limb, px, increasing."""
+    fields: dict[str, Float[np.ndarray, "m k"]]
     """What the look needs, at each."""
-    inner: dict[str, Float[np.ndarray, "n j"]]
+    inner: dict[str, Float[np.ndarray, "m j"]]
     """The same in front of the planet: at `inner_heights`, then at `band`."""
-    band: Float[np.ndarray, "n 2"]
+    band: Float[np.ndarray, "2"]
     """Heights where the planet's light was measured (`Inside.band`)."""
-    height: Float[np.ndarray, "n 1"]
-    """The pixel's own."""
-    bend: Float[np.ndarray, "n 1"]
-    """Curvature of the limb, 1/px."""
+    angle: Float[np.ndarray, " n"]
+    """Direction of each pixel."""
+    height: Float[np.ndarray, " n"]
+    """Its own height, px."""
+    bend: Float[np.ndarray, " n"]
+    """Curvature of the limb there, 1/px."""
     inside: Float[np.ndarray, "n 6"]
     """Light of the planet beside it, as `Inside.light`."""
 
-    def part(self, chosen: Int[np.ndarray, " m"] | slice) -> "Stencil":
+    @property
+    def before(self) -> Int[np.ndarray, " n"]:
+        """The line at or before each pixel."""
+        return np.maximum(np.searchsorted(self.lines, self.angle, side="right") - 1, 0)
+
+    def part(self, chosen: Int[np.ndarray, " m"]) -> "Stencil":
         """That of some of the pixels."""
-        return Stencil(
-            self.heights[chosen],
-            {name: field[chosen] for name, field in self.fields.items()},
-            {name: field[chosen] for name, field in self.inner.items()},
-            self.band[chosen],
-            self.height[chosen],
-            self.bend[chosen],
-            self.inside[chosen],
+        return replace(
+            self,
+            angle=self.angle[chosen],
+            height=self.height[chosen],
+            bend=self.bend[chosen],
+            inside=self.inside[chosen],
         )
 
 
@@ -97,19 +112,32 @@ def heights_above_limb(
     """Height of each pixel above the limb and that of the air's end, px, and the unit vector that
     leads away from the limb, in columns and rows.
 
-    The height of the ray above the ground, over its slope there.
+    Distances in the picture, along the slope of the height above the ground at the pixel.
     """
 
-    def altitude(right: float, down: float) -> np.ndarray:
-        x, y = pixel_slopes(view, column + right, row + down)
-        squared, _ = squared_miss_distance(x, y, *ray_offsets(view.aim, column + right, row + down))
+    def altitude(along: Way, right: Way, down: Way) -> np.ndarray:
+        at = column + along * right, row + along * down
+        squared, _ = squared_miss_distance(*pixel_slopes(view, *at), *ray_offsets(view.aim, *at))
         return np.asarray((squared - 1) / (np.sqrt(squared) + 1))
 
-    away = np.stack(
-        [altitude(0.5, 0.0) - altitude(-0.5, 0.0), altitude(0.0, 0.5) - altitude(0.0, -0.5)]
-    )
-    slope = np.hypot(*away)
-    return altitude(0.0, 0.0) / slope, (view.shell - 1) / slope, away / slope
+    def slope(along: Way, right: Way, down: Way) -> np.ndarray:
+        return altitude(along + 0.5, right, down) - altitude(along - 0.5, right, down)
+
+    away = np.stack([slope(0.0, 1.0, 0.0), slope(0.0, 0.0, 1.0)])
+    steep = np.hypot(*away)
+    away = away / steep
+    # Newton's method: what it would gain in a fourth step is below 1e-6 px. Far from the limb, as
+    # in the middle of a disc, where there is no way out, the first step is kept.
+    found = []
+    for end in (0.0, view.shell - 1):
+        first = (end - altitude(0.0, *away)) / steep
+        way = first
+        for _ in range(3):
+            step = (end - altitude(way, *away)) / slope(way, *away)
+            way = way + np.clip(step, -np.abs(first) / 2, np.abs(first) / 2)
+        found.append(np.where(np.isfinite(way), way, first))
+    limb, air = found
+    return -limb, air - limb, away
 
 
 def bends_of(
@@ -201,6 +229,13 @@ def _along(
     return mean(angle), levels, middle, slopes
 
 
+def along_limb(layers: Layers, index: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """The order of pixels of flat indices along the limb."""
+    row, column = (part.astype(np.float64) for part in np.divmod(index, np.shape(layers.front)[1]))
+    _, _, (right, down) = heights_above_limb(known_view(layers), column, row)
+    return np.argsort(np.arctan2(down, right), kind="stable")
+
+
 def stencil_of(
     layers: Layers,
     index: Int[np.ndarray, " n"],
@@ -208,26 +243,38 @@ def stencil_of(
     needs: Sequence[str],
     inside: Inside,
 ) -> Stencil:
-    """What the pixels of flat indices see of a photo of which the planet's light is known."""
+    """What the pixels of flat indices, `along_limb`, see of a photo of which the planet's light is
+    known."""
     view = known_view(layers)
     row, column = (part.astype(np.float64) for part in np.divmod(index, np.shape(layers.front)[1]))
     height, top, (right, down) = heights_above_limb(view, column, row)
+    angle, bend = np.arctan2(down, right), bends_of(view, column, row)
+    # A line through the first pixel of each piece of the limb, and through the last of all.
+    piece = (
+        np.floor(angle / max(LINES * abs(float(np.median(bend))), 1e-9)) if len(index) else angle
+    )
+    first = np.append(np.flatnonzero(np.diff(piece, prepend=np.nan) != 0), len(index) - 1)
+    first = first[: len(index)]
 
     def at(heights: np.ndarray, *, ground: bool) -> dict[str, np.ndarray]:
-        off = heights - height[:, None]
-        columns, rows = column[:, None] + off * right[:, None], row[:, None] + off * down[:, None]
+        off = heights - height[first, None]
+        columns = column[first, None] + off * right[first, None]
+        rows = row[first, None] + off * down[first, None]
         flat = columns.reshape(-1), rows.reshape(-1)
         fields = fields_between(layers, flat, unit, needs, ground=ground)
         return {name: field.reshape(off.shape) for name, field in fields.items()}
 
-    heights = stencil_heights(height, top).T
+    reach = float(height.max(initial=0.0)) + REACH
+    heights = profile_heights(np.minimum(top[first], reach)).T
     inner = np.minimum(np.concatenate([inner_heights(), inside.band]), -ON_THE_GROUND)
     return Stencil(
-        heights,
-        at(heights, ground=False),
-        at(inner[None], ground=True),
-        np.broadcast_to(inside.band, (len(height), 2)),
-        height[:, None],
-        bends_of(view, column, row)[:, None],
-        inside.at(np.arctan2(down, right)),
+        lines=angle[first],
+        heights=heights,
+        fields=at(heights, ground=False),
+        inner=at(inner[None], ground=True),
+        band=inside.band,
+        angle=angle,
+        height=height,
+        bend=bend,
+        inside=inside.at(angle),
     )

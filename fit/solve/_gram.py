@@ -44,7 +44,7 @@ def gram(
     if samples.clipped is None and model.loss.name == "linear" and model.linear:
         total = _linear_gram(entries, directions, samples, model)
     else:
-        total = _general_gram(entries, directions, samples, model)
+        total = pixel_gram(entries, directions, samples, model)
     return total if model.prior is None else total + _prior_gram(entries, directions, model.prior)
 
 
@@ -139,7 +139,7 @@ def _bordered(curved: Any, gradient: Any, square_sum: Any) -> Float[jax.Array, "
     return jnp.block([[curved, gradient[:, None]], [right[None, :]]])
 
 
-def _general_gram(
+def pixel_gram(
     entries: Float[AnyArray, " e"],
     directions: Float[AnyArray, "e p"],
     samples: Samples,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from model_jax import Look, Response, record
-from model_jax._blur import below_limb, inner_heights, stencil_weights
+from model_jax._blur import below_limb, inner_heights, line_weights
 from model_jax._composite import Air, air_light, compose
 from model_jax._safe import safe_divide, safe_power
 from model_jax._shapes import AnyArray
@@ -94,7 +94,7 @@ def _blurred(
     stencil = tile.stencil
     assert stencil is not None
     exposure, gamma, black_level, blur = model.layout.responses(entries)[tile.photo]
-    height, bend = stencil.height[0], stencil.bend[0]
+    height, bend = stencil.height, stencil.bend
     width = jnp.sqrt(blur * blur + model.square)
     below = below_limb(height, bend, width)
     own = jnp.ones((3, 1), tile.light.dtype)
@@ -108,31 +108,38 @@ def _blurred(
     level, change = (own * safe_divide(part, exposure, 0.0) for part in (level, change))
     background = jnp.broadcast_to(look.background, (3,))[:, None]
     light = background * (1 - below[:1])
+    between = jnp.stack([1 - stencil.along, stencil.along])
 
     def mixed(channels: jax.Array) -> jax.Array:
         return channels if tile.mix is None else jnp.einsum("ij,j...->i...", tile.mix, channels)
 
+    def spread(weights: jax.Array, of_lines: jax.Array) -> jax.Array:
+        """Light of pixels from that at places of the two lines."""
+        return (jnp.einsum("kn,ckl->cln", weights, of_lines) * between[None]).sum(axis=1)
+
     light = mixed(light) + level * below[:1] + change * below[1:]
     if not bare:
-        heights = jnp.broadcast_to(inner_heights()[:, None], (len(inner_heights()), len(height)))
-        weights = stencil_weights(stencil.heights, height, bend, width)
+        heights = stencil.heights @ between
         air, _ = _air_at(look, stencil.fields, tile)
-        light = light + mixed(jnp.einsum("kn,ckn->cn", weights, air))
+        light = light + mixed(spread(line_weights(heights, height, bend, width), air))
+        heights = jnp.asarray(inner_heights())
+        weights = jnp.broadcast_to(heights[:, None], (len(heights), len(height)))
+        weights = line_weights(weights, height, bend, width)
         air, passed = _air_at(look, stencil.inner, tile)
         air = mixed(air)
         places = len(heights)
         deep, shallow = stencil.band
-        first, last = air[:, places], air[:, places + 1]
-        along = (heights - deep[None]) / (shallow - deep)[None]
-        line = first[:, None] + (last - first)[:, None] * along[None]
+        along = ((heights - deep) / (shallow - deep))[None, :, None]
+        first, last = air[:, None, places], air[:, None, places + 1]
+        line = first + (last - first) * along
         more = air[:, :places] - line
         if passed is not None:
             there = (passed[:, places] + passed[:, places + 1]) / 2
             share = jnp.minimum(safe_divide(passed[:, :places], there[:, None], 0.0), 1) - 1
-            planet = level[:, None] - change[:, None] * heights[None] - line
-            more = more + planet * share
-        weights = stencil_weights(heights, height, bend, width)
-        light = light + own * jnp.einsum("kn,ckn->cn", weights, more)
+            more = more - line * share
+            light = light + level * spread(weights, share)
+            light = light - change * spread(weights, share * heights[None, :, None])
+        light = light + own * spread(weights, more)
     recorded = record(light, Response(exposure, gamma), linear=model.straight)
     return recorded + own * black_level
 

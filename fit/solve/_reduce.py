@@ -33,8 +33,11 @@ BINS = 256
 THIN = 2**15
 """Pixels of a thinned picture: parameters within a few standard errors of theirs, √(all / THIN)."""
 
-THIN_OF_LINES = 2**11
-"""The same where each pixel sees a line of places, and takes as long as twenty."""
+THIN_OF_LINES = 2**13
+"""The same where pixels see lines across the limb."""
+
+_RUN = 192
+"""Pixels side by side that are taken of those: they share their lines."""
 
 MOST_BINNED = 2
 """Fields that can be binned; three would make 17 million bins."""
@@ -87,25 +90,33 @@ def thin_of(columns: Sequence[Columns]) -> int:
 
 
 def thinned(columns: Sequence[Columns]) -> Samples:
-    """Every k-th pixel of each photo, counting k times; `thin_of` or a little more in all."""
+    """Every k-th pixel of each photo, or k-th run of pixels along the limb, counting for as many as
+    there are; `thin_of` or a little more in all."""
     step = max(sum(len(c.index) for c in columns) // thin_of(columns), 1)
 
-    def part(values: np.ndarray | None) -> np.ndarray | None:
-        return None if values is None else values[::step]
+    def reduced(c: Columns) -> Columns:
+        number = np.arange(len(c.index))
+        chosen = number[(number if c.stencil is None else number // _RUN) % step == 0]
 
-    reduced = [
-        replace(
+        def part(values: np.ndarray | None) -> np.ndarray | None:
+            return None if values is None else values[chosen]
+
+        return replace(
             c,
-            index=c.index[::step],
-            fields={name: field[::step] for name, field in c.fields.items()},
-            light=c.light[::step],
+            index=c.index[chosen],
+            fields={name: field[chosen] for name, field in c.fields.items()},
+            light=c.light[chosen],
             surface=part(c.surface),
             clipped=part(c.clipped),
-            stencil=None if c.stencil is None else c.stencil.part(np.s_[::step]),
+            stencil=None if c.stencil is None else c.stencil.part(chosen),
         )
-        for c in columns
+
+    found = [reduced(c) for c in columns]
+    weights = [
+        np.full(len(few.index), len(c.index) / max(len(few.index), 1))
+        for c, few in zip(columns, found, strict=True)
     ]
-    return to_samples(reduced, weights=[np.full(len(c.index), float(step)) for c in reduced])
+    return to_samples(found, weights=weights)
 
 
 def _bin(

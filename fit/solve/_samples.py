@@ -22,8 +22,11 @@ from ..photo._stencil import Stencil
 TILE = 3072
 """Pixels of a tile: its slopes by 8 parameters are 600 kB, which stays in a core's second cache."""
 
-TILE_OF_LINES = 192
-"""The same where each pixel sees a line of places."""
+TILES_OF_LINES = (192, 48, 12)
+"""The same where pixels see lines across the limb: as many as lie between few lines."""
+
+_BETWEEN = 4
+"""Lines that a tile may lie between, of which the first and the last serve it."""
 
 _CAPACITY = 8
 """Samples are stored with room for a power of this many times their least number of tiles, so that
@@ -33,12 +36,15 @@ photos of other sizes find a compiled program; loops run over the tiles in use o
 class StencilTiles(eqx.Module):
     """What blurred pixels see (`photo._stencil.Stencil`), by tiles, or of one tile."""
 
-    heights: Float[AnyArray, "*T k n"]
-    fields: dict[str, Float[AnyArray, "*T k n"]]
-    inner: dict[str, Float[AnyArray, "*T j n"]]
-    band: Float[AnyArray, "*T 2 n"]
-    height: Float[AnyArray, "*T 1 n"]
-    bend: Float[AnyArray, "*T 1 n"]
+    heights: Float[AnyArray, "*T k 2"]
+    """Of the lines at either end of the tile."""
+    fields: dict[str, Float[AnyArray, "*T k 2"]]
+    inner: dict[str, Float[AnyArray, "*T j 2"]]
+    band: Float[AnyArray, "*T 2"]
+    along: Float[AnyArray, "*T n"]
+    """Where each pixel is between the two, 0 to 1."""
+    height: Float[AnyArray, "*T n"]
+    bend: Float[AnyArray, "*T n"]
     inside: Float[AnyArray, "*T 6 n"]
 
 
@@ -145,7 +151,7 @@ def to_samples(
     factors on levels.
     """
     if tile is None:
-        tile = TILE if all(c.stencil is None for c in columns) else TILE_OF_LINES
+        tile = _tile_of(columns)
     starts = _first_tiles(columns, tile)
     room = capacity(int(starts[-1]), ROOM if weights is None else FEW_ROOM)
 
@@ -173,6 +179,17 @@ def to_samples(
     )
 
 
+def _tile_of(columns: Sequence[Columns]) -> int:
+    """Pixels of a tile: with stencils few enough that light between its two lines is as theirs."""
+    known = [c.stencil for c in columns if c.stencil is not None and len(c.index)]
+    if not known:
+        return TILE
+    pixels = sum(len(part.angle) for part in known)
+    lines = sum(len(np.unique(part.before)) for part in known)
+    fitting = [n for n in TILES_OF_LINES if n * lines <= _BETWEEN * pixels]
+    return fitting[0] if fitting else TILES_OF_LINES[-1]
+
+
 def _stencil_tiles(
     parts: Sequence[Stencil | None], starts: Int[np.ndarray, " _"], room: int, tile: int
 ) -> StencilTiles | None:
@@ -180,18 +197,36 @@ def _stencil_tiles(
     known = [part for part in parts if part is not None]
     if not known:
         return None
+    ends, alongs, bands = [], [], np.zeros((room, 2))
+    for part, (start, end) in zip(known, pairwise(starts), strict=True):
+        first = tile * np.arange(end - start)
+        last = np.minimum(first + tile, len(part.angle)) - 1
+        before = part.before
+        after = np.minimum(before[last] + 1, len(part.lines) - 1)
+        two = np.stack([before[first], after], axis=-1)
+        low, high = (np.repeat(part.lines[k], last - first + 1) for k in two.T)
+        width = high - low
+        along = np.clip((part.angle - low) / np.where(width > 0, width, 1.0), 0, 1)
+        ends.append(two)
+        alongs.append(along)
+        bands[start:end] = part.band
 
     def fill(parts: list[np.ndarray | None]) -> Any:
         # Of no pixel and no air slopes are no numbers, whatever its weight.
         return _fill(parts, starts, room, tile, repeat=True)
 
-    names = dict.fromkeys(name for part in known for name in part.fields)
-    inner = dict.fromkeys(name for part in known for name in part.inner)
+    def of_lines(values: list[np.ndarray]) -> np.ndarray:
+        whole = np.zeros((room, values[0].shape[1], 2))
+        for lines, two, (start, end) in zip(values, ends, pairwise(starts), strict=True):
+            whole[start:end] = lines[two].swapaxes(1, 2)
+        return whole
+
     return StencilTiles(
-        heights=fill([part.heights for part in known]),
-        fields={name: fill([part.fields.get(name) for part in known]) for name in names},
-        inner={name: fill([part.inner.get(name) for part in known]) for name in inner},
-        band=fill([part.band for part in known]),
+        heights=of_lines([part.heights for part in known]),
+        fields={n: of_lines([part.fields[n] for part in known]) for n in known[0].fields},
+        inner={n: of_lines([part.inner[n] for part in known]) for n in known[0].inner},
+        band=bands,
+        along=fill(list(alongs)),
         height=fill([part.height for part in known]),
         bend=fill([part.bend for part in known]),
         inside=fill([part.inside for part in known]),
@@ -258,7 +293,7 @@ def _fill(
         if rest:
             whole[start + full, ..., :rest] = part[full * tile :].T
             if repeat:
-                whole[start + full, ..., rest:] = part[-1][:, None]
+                whole[start + full, ..., rest:] = part[-1:].T
     return whole
 
 

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -108,9 +109,10 @@ def test_model_is_a_convolution(blur: float, albedo: tuple[float, float, float])
     entries = jnp.asarray(to_entries(declare(look, [Response(blur=blur)])))
     model = Model(Loss("linear"), None, Layout(type(look), True), True, 1 / 12)
     tiles = [tile_at(samples, np.array(k)) for k in range(int(samples.used))]
-    found = np.concatenate([np.asarray(predict(entries, tile, model)).T for tile in tiles])
+    seen = eqx.filter_jit(predict)
+    found = np.concatenate([np.asarray(seen(entries, tile, model)).T for tile in tiles])
     assert columns.stencil is not None
-    height, off = columns.stencil.height[:, 0], found[: len(columns.index)] - columns.light
+    height, off = columns.stencil.height, found[: len(columns.index)] - columns.light
     # Beyond its border the true picture goes on, the one that is spread is taken to repeat itself.
     place = np.stack(np.divmod(columns.index, used.shape[1]))
     whole = ((place >= 11) & (place < used.shape[1] - 11)).all(axis=0)
@@ -140,10 +142,10 @@ def test_without_blur_the_model_is_the_sharp_one() -> None:
     entries = jnp.asarray(to_entries(declare(look, [Response(blur=0.0)])))
     model = Model(Loss("linear"), None, Layout(type(look), True), True)
     assert columns.stencil is not None
-    height = columns.stencil.height[:, 0]
+    height = columns.stencil.height
     for k in range(int(samples.used)):
         tile = tile_at(samples, np.array(k))
-        seen = np.asarray(predict(entries, tile, model)).T[: int(samples.count[k])]
+        seen = np.asarray(eqx.filter_jit(predict)(entries, tile, model)).T[: int(samples.count[k])]
         start = k * tile.weight.shape[0]
         part = slice(start, start + len(seen))
         away = (height[part] > 0.02) & (height[part] < 10)
