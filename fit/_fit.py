@@ -144,7 +144,8 @@ def fit(
         where: "ring" uses air in front of space only, "sky" that and the sky beside it, which tells
             background and blur, "planet" air in front of the planet only, whose light the layers'
             surface tells; "all" uses ring and planet, with a blur ring and sky.
-        solver: lm, dogleg or bfgs, of optimistix.
+        solver: lm, dogleg or bfgs, of optimistix. A look that is not separable is brought near by
+            SciPy's trust region within the bounds first; where that ends, lm has nothing to do.
         max_steps: of the solver, for each of the few descents.
 
     Returns:

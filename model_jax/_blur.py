@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtr
+from jax.scipy.special import erfc
 from jaxtyping import Float
 
 from ._safe import safe_divide
@@ -123,7 +123,7 @@ def _line_weights(heights: Any, height: Any, bend: Any, width: Any) -> jax.Array
     edges, middle = heights[::2], heights[1::2]
     half = (edges[1:] - edges[:-1]) / 2
     z = jnp.asarray((edges - center[None]) / sigma)
-    below, above, density = ndtr(z), ndtr(-z), _normal(z)
+    (below, above), density = _tails(z), _normal(z)
     # The share between, from whichever tail has digits.
     share = jnp.where(z[:-1] > 0, above[:-1] - above[1:], below[1:] - below[:-1])
     ratio = safe_divide(sigma, half, 0.0)
@@ -144,7 +144,7 @@ def below_limb(
     each px down from the limb. Arguments as of `line_weights`."""
     sigma, center = _gaussian(height, bend, width)
     down = -center / sigma
-    below = ndtr(down)
+    below, _ = _tails(down)
     return jnp.stack([below, sigma * (_normal(down) + down * below)])
 
 
@@ -155,6 +155,19 @@ def _gaussian(
     width = jnp.asarray(width, jnp.result_type(height))
     sigma = jnp.sqrt(width * width + SHARPEST**2)
     return sigma, jnp.asarray(height) + bend * (sigma * sigma / 2)
+
+
+@jax.custom_jvp
+def _tails(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """How much of a standard normal distribution lies below, and above: each with its digits."""
+    tail = erfc(jnp.abs(x) / np.sqrt(2)) / 2
+    return jnp.where(x < 0, tail, 1 - tail), jnp.where(x < 0, 1 - tail, tail)
+
+
+@_tails.defjvp
+def _tails_jvp(given: Any, tangents: Any) -> Any:
+    slope = _normal(given[0]) * tangents[0]
+    return _tails(given[0]), (slope, -slope)
 
 
 def _normal(x: jax.Array) -> jax.Array:

@@ -111,11 +111,13 @@ def thinned(columns: Sequence[Columns]) -> Samples:
             stencil=None if c.stencil is None else c.stencil.part(chosen),
         )
 
+    def weight(all_: Columns, few: Columns) -> np.ndarray:
+        count = len(few.index)
+        each = step if all_.stencil is None else len(all_.index) / max(count, 1)  # ends of runs
+        return np.full(count, float(each))
+
     found = [reduced(c) for c in columns]
-    weights = [
-        np.full(len(few.index), len(c.index) / max(len(few.index), 1))
-        for c, few in zip(columns, found, strict=True)
-    ]
+    weights = [weight(c, few) for c, few in zip(columns, found, strict=True)]
     return to_samples(found, weights=weights)
 
 

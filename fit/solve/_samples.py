@@ -22,6 +22,9 @@ from ..photo._stencil import Stencil
 TILE = 3072
 """Pixels of a tile: its slopes by 8 parameters are 600 kB, which stays in a core's second cache."""
 
+TILE_OF_PLACES = 128
+"""The same of looks that go along the ray: what stands between their slopes and them is more."""
+
 TILES_OF_LINES = (192, 48, 12)
 """The same where pixels see lines across the limb: as many as lie between few lines."""
 
@@ -183,7 +186,7 @@ def _tile_of(columns: Sequence[Columns]) -> int:
     """Pixels of a tile: with stencils few enough that light between its two lines is as theirs."""
     known = [c.stencil for c in columns if c.stencil is not None and len(c.index)]
     if not known:
-        return TILE
+        return TILE_OF_PLACES if "begin" in _names(columns) else TILE
     pixels = sum(len(part.angle) for part in known)
     lines = sum(len(np.unique(part.before)) for part in known)
     fitting = [n for n in TILES_OF_LINES if n * lines <= _BETWEEN * pixels]
