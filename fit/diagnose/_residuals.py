@@ -83,7 +83,8 @@ def _by_photo(
             values = np.asarray(of_tiles(numbers))
             for k in range(filled):
                 n, which = count[numbers[k]], photo[numbers[k]]
-                found[which][starts[which] : starts[which] + n] = values[k, :, :n].T
+                with np.errstate(over="ignore"):  # of a fit that diverged
+                    found[which][starts[which] : starts[which] + n] = values[k, :, :n].T
                 starts[which] += n
     return found
 

@@ -27,6 +27,7 @@ from ._parameters import Entries, FitParameter, free_directions
 from ._polish import put_inside
 from ._problem import Problem
 from ._reduce import factor_of
+from ._samples import on_device
 from ._starts import spread_starts
 
 DESCENTS = 4
@@ -45,7 +46,7 @@ class _Passes:
         self.box = Box(free, problem.parameters, problem.model.layout.kind.AMPLITUDE)
         self.base = base
         self.history: list[float] = []
-        self._problem = problem
+        self._samples, self._model = on_device(problem.reduced), problem.model
         self._directions = free_directions(free, problem.parameters)[0]
         self._last: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -71,10 +72,7 @@ class _Passes:
         vector = self.box.placed(self.base, values)
         found = np.asarray(
             exact_gram(
-                jnp.asarray(vector),
-                jnp.asarray(self._directions),
-                self._problem.reduced,
-                self._problem.model,
+                jnp.asarray(vector), jnp.asarray(self._directions), self._samples, self._model
             )
         )
         # The box's coordinates move the vector along the same directions.
@@ -107,6 +105,7 @@ def approach(
     placed = sorted((p for p in placed if np.isfinite(p[0])), key=lambda p: p[0])[:DESCENTS]
     steps = max_steps if len(placed) == 1 else FIRST_STEPS
     found = [_descend(passes, values, steps) for _, values in placed]
+    found = [end for end in found if end.finite]
     if not found:
         return Descent(held, False, 0, ())
     best = min(found, key=lambda end: end.history[-1])
@@ -144,9 +143,12 @@ def _descend(passes: _Passes, values: Float[np.ndarray, " n"], max_steps: int) -
     """SciPy's descent from a place in the box."""
     passes.history = []
     box = passes.box
+    values = np.clip(values, box.lower, box.upper)  # rounding may have led out
+    if not np.isfinite(passes.rows(values)).all():
+        return Descent(box.placed(passes.base, values), False, 0, ())
     found = least_squares(
         passes.residuals,
-        np.clip(values, box.lower, box.upper),  # rounding may have led out
+        values,
         passes.slopes,
         (box.lower, box.upper),
         x_scale="jac",

@@ -1,7 +1,9 @@
 """Coordinates within bounds, and descents in them from the defaults."""
 
 from collections.abc import Mapping
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -9,7 +11,16 @@ import fit
 from fit.solve._box import Box
 from fit.solve._declare import declare
 from fit.solve._parameters import to_entries
-from model_jax import Response, analytic_layers, composite, find_look
+from model_jax import (
+    Fields,
+    Look,
+    Response,
+    analytic_layers,
+    composite,
+    find_look,
+    layer_widths,
+    parameter,
+)
 from tests.model_jax.scenes import RADIUS, scene_of
 
 AIR = find_look("air+density+saturation")
@@ -69,3 +80,24 @@ def test_thinning_air_is_found_from_the_defaults(extinction: float, unit: float)
         p = found.parameters[name]
         assert p.stderr is not None
         assert abs(p.value - true) < 4 * p.stderr, (name, p.value, p.stderr)
+
+
+class Steep(Look):
+    """Light that overflows where it is steep."""
+
+    steepness: float = parameter("how fast it grows", default=3.0, lower=0.0)
+    NEEDS = ("lit",)
+    ROUNDINGS = (1e3, 0.0)
+
+    def air(self, fields: Fields) -> tuple[Any, None]:
+        return fields.color * jnp.expm1(self.steepness * fields.lit), None
+
+
+def test_starts_whose_light_overflows_are_passed_over() -> None:
+    layers = analytic_layers(scene_of((0.0, -3.0, 0.4), size=(97, 73), fov=45.0))
+    photo = np.asarray(composite(layers, Steep(steepness=3.0)))[..., :3]
+    widest = float(np.nanmax(layer_widths(layers)[0]))
+    found = fit.fit(photo, layers, Steep(steepness=1e4 / widest), sampling="point")
+    assert found.verdict == "diverged"  # no start's light is a number
+    found = fit.fit(photo, layers, Steep(steepness=10 / widest), sampling="point")
+    assert found.look.steepness == pytest.approx(3.0, rel=1e-4), found.message
