@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from model_jax import Layers, LayersLook, Look, Response, find_look
+from model_jax import Layers, Look, Response, find_look
 
 from .._compile import program
 from ..photo._columns import planet_light, take_columns
@@ -44,8 +44,8 @@ def look_rows(
     dim = find_look("air+density+saturation")(scale_height=_HEIGHT)
     by_pixel = program(pixel_gram)
     cases: list[tuple[str, Look, float | None, Any]] = [
-        ("a pass of layers, by sums", LayersLook(), None, exact_gram),
-        (UNIFORM, LayersLook(), None, by_pixel),
+        ("a pass of layers, by sums", find_look("layers")(), None, exact_gram),
+        (UNIFORM, find_look("layers")(), None, by_pixel),
         ("a pass of air+density", thin, None, by_pixel),
         ("a pass of air+density+saturation", dim, None, by_pixel),
         ("a pass of air+density+saturation+blur", dim, 1.0, by_pixel),

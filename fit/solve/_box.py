@@ -90,7 +90,7 @@ class Box:
         return moved + self._basis @ (along - self._basis.T @ moved)
 
     def slopes(self, vector: Entries) -> Float[np.ndarray, "e n"]:
-        """How the entries change with each; of a vector whose amplitude is not 0."""
+        """How the entries change with each; without any light factors do not."""
         plain = np.zeros((len(vector), len(self._rows)))
         for column, rows in enumerate(self._rows):
             plain[rows, column] = 1.0
@@ -101,7 +101,7 @@ class Box:
         share, number = self._share(vector), float(self.amplitude.of(vector))
         first = plain[:, :1] / share + np.zeros(len(self._members))
         inner = np.eye(len(self._members)) - vector[self._members][:, None] / share
-        first[self._members] = inner / number
+        first[self._members] = inner / number if number > 0 else 0.0
         return np.concatenate([first, plain[:, 1:]], axis=1)
 
     def at_bound(self, values: Float[np.ndarray, " n"]) -> list[FitParameter]:

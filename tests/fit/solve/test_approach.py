@@ -64,6 +64,8 @@ def test_coordinates_are_where_their_slopes_lead(asked: Mapping[str, object]) ->
         assert up[factors : factors + 3].sum() == pytest.approx(3, rel=1e-14)
     assert (values >= box.lower).all()
     assert (values <= box.upper).all()
+    dark = box.placed(vector, np.maximum(box.lower, np.where(np.isfinite(box.lower), 0, values)))
+    assert np.isfinite(box.slopes(dark)).all()
 
 
 @pytest.mark.parametrize(("extinction", "unit"), [(0.0, 1.0), (20.0, 1.0), (20.0, 1e3)])
