@@ -33,14 +33,14 @@ SLOPE_ALONG = 128.0
 is wrong by grows with that."""
 SKY = 24.0
 """Pixels of sky beyond the air that are looked at, to tell what is there without it."""
-Way = float | Float[np.ndarray, " n"]
-
 LINES = 4.0
 """Pixels along the limb from line to line."""
 ON_THE_GROUND = 1e-6
 """Height below the limb, px, at which a ray surely meets the ground."""
 _ROWS = 2**18
 """Pixels looked at at once."""
+
+_Way = float | Float[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)
@@ -115,12 +115,12 @@ def heights_above_limb(
     Distances in the picture, along the slope of the height above the ground at the pixel.
     """
 
-    def altitude(along: Way, right: Way, down: Way) -> np.ndarray:
+    def altitude(along: _Way, right: _Way, down: _Way) -> np.ndarray:
         at = column + along * right, row + along * down
         squared, _ = squared_miss_distance(*pixel_slopes(view, *at), *ray_offsets(view.aim, *at))
         return np.asarray((squared - 1) / (np.sqrt(squared) + 1))
 
-    def slope(along: Way, right: Way, down: Way) -> np.ndarray:
+    def slope(along: _Way, right: _Way, down: _Way) -> np.ndarray:
         return altitude(along + 0.5, right, down) - altitude(along - 0.5, right, down)
 
     away = np.stack([slope(0.0, 1.0, 0.0), slope(0.0, 0.0, 1.0)])

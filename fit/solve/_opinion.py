@@ -51,7 +51,6 @@ def second_opinion(
             room = margin + 64 * np.finfo(np.float64).eps * problem.count * problem.light_max**2
             lower = least.square_sum < square_sum - room
             return ("lower" if lower else "closed form"), least.vector
-    other = make_solver("lm" if solver != "lm" else "dogleg")
     away = vector.copy()
     for p in problem.parameters:
         if p in free and not p.mean_one:
@@ -60,6 +59,7 @@ def second_opinion(
         away[directions.any(axis=1)] *= 1.3
     away = put_inside(away, free, problem.parameters)
     if is_separable(problem.model.layout):
+        other = make_solver("lm" if solver != "lm" else "dogleg")
         near = chart(away, free, problem.parameters)
         descent = descend(near, problem.reduced, problem.model, other, _SECOND_STEPS)
     else:

@@ -25,7 +25,7 @@ from jaxtyping import Float, Int
 from .._compile import program
 from ..photo._columns import Columns
 from ._gram import tile_columns, weighted_squares
-from ._samples import Samples, tile_at, to_samples
+from ._samples import TILES_OF_LINES, Samples, tile_at, to_samples
 
 BINS = 256
 """Bins along each field: parameters within 1e-5 of the exact ones on real pictures."""
@@ -36,7 +36,7 @@ THIN = 2**15
 THIN_OF_LINES = 2**13
 """The same where pixels see lines across the limb."""
 
-_RUN = 192
+_RUN = TILES_OF_LINES[0]
 """Pixels side by side that are taken of those: they share their lines."""
 
 MOST_BINNED = 2

@@ -136,8 +136,8 @@ def capacity(tiles: int, least: int) -> int:
 
 
 ROOM = 1024
-"""Least room, in tiles: 3 megapixels of air. Where nothing is written it takes no memory on a
-CPU."""
+"""Least room, in tiles: 3 megapixels of uniform air, 131,072 pixels of air that thins out. Where
+nothing is written it takes no memory on a CPU."""
 FEW_ROOM = 64
 """Least room of few pixels, in tiles: 200,000, below which memory that is touched is no matter."""
 
