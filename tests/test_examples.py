@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -17,7 +18,7 @@ import pytest
 import render_gl
 from fit import fit, load_photo
 from fit.cli._job import Job, run_job
-from model_jax import Layers, LayersLook, analytic_layers, combine
+from model_jax import Layers, LayersLook, analytic_layers, combine, find_look
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
@@ -104,6 +105,38 @@ def test_reference_fit(tmp_path: Path) -> None:
     assert document["explained"] > 0.7
     assert document["parameters"]["scale_height"]["value"] == pytest.approx(8.0, rel=0.15)
     assert (EXAMPLES / "reference.png").stat().st_size < 1_000_000
+
+
+@pytest.mark.parametrize(("density", "tolerance"), [(1.0, 0.05), (1e-3, 1e-3)])
+def test_reduced_march_gives_its_scale_height_back(
+    density: float, tolerance: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Molecules alone, light scattered once, the limb below the sun: what is left that the look
+    does not have is dimming on the sun's way, a vertical optical depth of up to 0.26 (blue), which
+    costs 2 %; a thousandth of the air has none. Towards the terminator, where the sun's way is as
+    long as the eye's, it costs 12 %."""
+    march = example("march_reference")
+    monkeypatch.setattr(march, "RAYLEIGH_SCATTERING", density * march.RAYLEIGH_SCATTERING)
+    monkeypatch.setattr(march, "AEROSOL_SCATTERING", 0.0)
+    monkeypatch.setattr(march, "AEROSOL_EXTINCTION", 0.0)
+    monkeypatch.setattr(march, "OZONE_ABSORPTION", np.zeros(3))
+    monkeypatch.setattr(march, "SCATTERING_ORDERS", 1)
+    toward = {"target": [2550.0, 5840.0, 120.0], "up": [0.0, 1.0, -0.5]}
+    parsed = tomllib.loads((EXAMPLES / "reference.toml").read_text())
+    parsed["camera"] |= toward
+    light = march.march(parsed, 360, 270, 48)
+    scene = render_gl.load_scene(EXAMPLES / "reference.toml").scene.resized(360, 270)
+    away = np.array(toward["target"]) - scene.camera.position
+    camera = replace(scene.camera, forward=away, up=np.array(toward["up"]))
+    air = replace(scene.atmosphere, height=march.AIR_TOP)
+    layers = analytic_layers(replace(scene, camera=camera, atmosphere=air))
+    look = find_look("air+density+saturation")
+    found = fit((light / light.max()).astype(np.float32), layers, look(), sampling="point")
+    assert found.verdict == "converged", found.message
+    assert found.explained > 0.999
+    assert found.parameters["scale_height"].value == pytest.approx(
+        march.RAYLEIGH_SCALE_HEIGHT, rel=tolerance
+    )
 
 
 def test_epic_disc_lies_on_the_photos_limb(data_dir: Path) -> None:

@@ -47,10 +47,10 @@ class Problem:
         with float64():
             if plain and samples.clipped is None and self.model.linear:
                 return moments(samples)
+            if samples.clipped is None:  # all are believed as measured, those at an end, too
+                columns = tuple(replace(c, clipped=None) for c in columns)
             pairs = samples.surface is None and samples.stencil is None
             if plain and pairs and len(samples.fields) <= MOST_BINNED:
-                if samples.clipped is None:
-                    columns = tuple(replace(c, clipped=None) for c in columns)
                 return bins(columns)
             if sum(len(c.index) for c in columns) > 2 * thin_of(columns):
                 return thinned(columns)
