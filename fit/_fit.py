@@ -38,6 +38,7 @@ from .photo._pixels import choose_pixels
 from .solve._declare import declare, links, pairs
 from .solve._descend import make_solver
 from .solve._parameters import to_entries
+from .solve._problem import within_scene
 from .solve._task import Task
 
 MAX_STEPS = 256
@@ -232,6 +233,7 @@ def _fit(task: Task, where: Where) -> FitResult:
 
     widths = expected_blurs(task)
     columns = take(widths)
+    task = replace(task, parameters=within_scene(task.parameters, columns))
     asked, left_out = leave_out(task, columns)
     why_not = why_no_data(task, pixels, columns, asked)
     if why_not:

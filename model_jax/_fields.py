@@ -4,7 +4,7 @@
 so that the two differ by rounding only.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,6 +37,7 @@ class Field:
 
 
 _NO_SHADOW = "the layers hold no shadow: no sun is given, or no air in view is in shadow"
+_NO_DARK = "no pixel used is in shadow"
 
 FIELDS: dict[str, Field] = {
     "width": Field("width of the air on the ray", "width_unit"),
@@ -47,7 +48,7 @@ FIELDS: dict[str, Field] = {
         "width of shadowed air on the ray",
         "width_unit",
         absent=_NO_SHADOW,
-        unseen="no pixel used is in shadow",
+        unseen=_NO_DARK,
         of_shadow=True,
     ),
     "planet": Field("1 where the planet or an occluder ends the ray, 0 where space does", "1"),
@@ -65,6 +66,7 @@ FIELDS: dict[str, Field] = {
         "where the shadow ends in the air on the ray, likewise",
         "length",
         absent=_NO_SHADOW,
+        unseen=_NO_DARK,
         of_shadow=True,
     ),
     "altitude": Field("height of the ray's nearest point above the planet's radius", "length"),
@@ -79,6 +81,13 @@ WIDTHS = ("width", "lit", "dark")
 
 PLACES = ("begin", "end", "dark_begin", "dark_end", "altitude", "impact", "per_length")
 """Those that tell where on the ray and how high the air is."""
+
+
+def amount_of(fields: Mapping[str, AnyArray], name: str) -> AnyArray:
+    """How much of a field there is; of where shadow ends, the width of shadow before it."""
+    if name != "dark_end":
+        return fields[name]
+    return (fields[name] - fields["dark_begin"]) * fields["per_length"]
 
 
 OF_RAYS = ("altitude", "impact", "per_length")

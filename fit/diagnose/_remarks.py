@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from model_jax import FIELDS, Layers
+from model_jax._fields import amount_of
 
 from .._choices import CHANNELS
 from .._result import FitResult, LeftOut, PhotoResult
@@ -88,8 +89,12 @@ def _why_without_field(
 
 
 def _shows(columns: Sequence[Columns], name: str) -> bool:
-    """Some pixel has more of a field than its rounding."""
-    return any(name in c.fields and (c.fields[name] > c.width_error).any() for c in columns)
+    """Some pixel, or a line that it sees, has more of a field than its rounding."""
+    return any(
+        name in fields and (amount_of(fields, name) > c.width_error).any()
+        for c in columns
+        for fields in ([c.fields] if c.stencil is None else [c.stencil.fields, c.stencil.inner])
+    )
 
 
 def why_no_data(

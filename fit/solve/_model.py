@@ -135,6 +135,8 @@ def _blurred(
         more = air[:, :places] - line
         if passed is not None:
             there = (passed[:, places] + passed[:, places + 1]) / 2
+            # Nothing passes air that dark; the slope of a quotient divides by its square.
+            there = jnp.where(there < jnp.finfo(there.dtype).tiny ** 0.5, 0, there)
             share = jnp.minimum(safe_divide(passed[:, :places], there[:, None], 0.0), 1) - 1
             more = more - line * share
             light = light + level * spread(weights, share)

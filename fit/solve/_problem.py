@@ -1,5 +1,6 @@
 """What a search works on: samples, parameters and model; and a point in it, with its ways on."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,6 +25,42 @@ SHALLOWEST = 1 / 300
 DEPTHS = (0.1, 100.0)
 """Optical depths that may be, on the longest way through uniform air; where it thins out, ways are
 shorter."""
+
+
+UNIFORM = 1000.0
+"""Heights of air that a length may be at most where nothing else bounds it: air that thins out by a
+thousandth on its way up is uniform to a quarter of that, less than a step of 8 bits."""
+
+
+def likely_ranges(columns: Sequence[Columns]) -> dict[str, tuple[float, float]]:
+    """By unit, what is likely of lengths and of what is per width, by the air's size."""
+    height = width = 0.0
+    for c in columns:
+        if {"begin", "end", "altitude", "per_length"} <= c.fields.keys():
+            through = c.fields["end"] - c.fields["begin"]
+            height = max(height, float(c.fields["altitude"][through > 0].max(initial=0.0)))
+            width = max(width, float((through * c.fields["per_length"]).max(initial=0.0)))
+        elif "lit" in c.fields:
+            width = max(width, float((c.fields["lit"] + c.fields.get("dark", 0.0)).max()))
+    likely = {LENGTH: (SHALLOWEST * height, height)} if height > 0 else {}
+    depths = {PER_UNIT: (DEPTHS[0] / width, DEPTHS[1] / width)} if width > 0 else {}
+    return likely | depths
+
+
+def within_scene(
+    parameters: Sequence[FitParameter], columns: Sequence[Columns]
+) -> tuple[FitParameter, ...]:
+    """The parameters; free lengths without an upper bound get one, `UNIFORM`, or they would run off
+    where the air is uniform."""
+    ranges = likely_ranges(columns)
+    if LENGTH not in ranges:
+        return tuple(parameters)
+    most = UNIFORM * ranges[LENGTH][1]
+
+    def runs_off(p: FitParameter) -> bool:
+        return p.unit == LENGTH and p.role != "fixed" and math.isinf(p.upper) and p.value < most
+
+    return tuple(replace(p, upper=most) if runs_off(p) else p for p in parameters)
 
 
 @dataclass(frozen=True)
@@ -70,17 +107,7 @@ class Problem:
     @cached_property
     def ranges(self) -> dict[str, tuple[float, float]]:
         """What is likely of lengths and of what is per width, as far as the air's size tells."""
-        height = width = 0.0
-        for c in self.columns:
-            if {"begin", "end", "altitude", "per_length"} <= c.fields.keys():
-                through = c.fields["end"] - c.fields["begin"]
-                height = max(height, float(c.fields["altitude"][through > 0].max(initial=0.0)))
-                width = max(width, float((through * c.fields["per_length"]).max(initial=0.0)))
-            elif "lit" in c.fields:
-                width = max(width, float((c.fields["lit"] + c.fields.get("dark", 0.0)).max()))
-        likely = {LENGTH: (SHALLOWEST * height, height)} if height > 0 else {}
-        depths = {PER_UNIT: (DEPTHS[0] / width, DEPTHS[1] / width)} if width > 0 else {}
-        return likely | depths
+        return likely_ranges(self.columns)
 
     @property
     def plain(self) -> bool:

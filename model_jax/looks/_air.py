@@ -30,6 +30,17 @@ def _scale_height(shape: Shape) -> Any:
     )
 
 
+def _shadow(of: str) -> Any:
+    return parameter(
+        "light of shadowed air as a share of lit air",
+        lower=0.0,
+        default=0.2,
+        of=of,
+        shape="either",
+        source="the paper's pixel shader",
+    )
+
+
 def _parameters(term: str) -> dict[str, tuple[Any, Any]]:
     """Annotation and field of each parameter that a term brings."""
     if term == "density":
@@ -65,13 +76,7 @@ class AirLook(Look):
         default=3.0,
         source="the paper's pixel shader",
     )
-    shadow: Scalar | Three = parameter(
-        "light of shadowed air as a share of lit air",
-        lower=0.0,
-        default=0.2,
-        shape="either",
-        source="the paper's pixel shader",
-    )
+    shadow: Scalar | Three = _shadow("dark")
     tint: Three = parameter(
         "factor on the air's colour, mean 1 over the channels",
         lower=0.0,
@@ -149,6 +154,8 @@ def _with_terms(terms: tuple[str, ...]) -> type[Look]:
         return AirLook
     fields = {name: part for term in terms for name, part in _parameters(term).items()}
     places = any(term != "saturation" for term in terms)
+    if places:
+        fields["shadow"] = (Scalar | Three, _shadow("dark_end"))
     facts: dict[str, Any] = {
         "__module__": __name__,
         "__doc__": AirLook.__doc__,

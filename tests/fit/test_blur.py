@@ -66,7 +66,7 @@ def planet(albedo: tuple[float, float, float] | None, size: int = 120) -> Scene:
 TRUTH = {"scale_height": 100.0, "brightness": 60.0, "extinction": np.array([10.0, 20.0, 40.0])}
 
 
-def air(**other: float) -> Look:
+def air(**other: object) -> Look:
     return find_look("air+density+saturation")(**TRUTH | other)
 
 
@@ -126,6 +126,25 @@ def test_model_is_a_convolution(blur: float, albedo: tuple[float, float, float])
     for tile in tiles:
         _, slopes = tile_slopes(entries, jnp.eye(len(entries)), tile, model)
         assert np.isfinite(np.asarray(slopes)).all()
+
+
+@pytest.mark.usefixtures("x64")
+def test_opaque_air_has_slopes_that_are_numbers() -> None:
+    """Where the planet's light is measured, exp(-τ) is a number whose square is none, or 0."""
+    scene, look = planet(None), air()
+    layers = analytic_layers(scene, np.float64)
+    photo = np.asarray(composite(layers, look))[..., :3]
+    used = choose_pixels(photo, layers, "point", "ring", blurs=True).used
+    inside = planet_light(photo, layers, 0.5)
+    columns = take_columns(photo, layers, used, float(layers.width_unit), type(look), inside)
+    tile = tile_at(on_device(to_samples([columns])), np.array(0))
+    model = Model(Loss("linear"), None, Layout(type(look), True), True)
+    for depth in np.geomspace(1e2, 1e6, 40):
+        opaque = air(extinction=depth * np.array([1.0, 1.01, 1.02]))
+        entries = jnp.asarray(to_entries(declare(opaque, [Response(blur=1.0)])))
+        found, slopes = tile_slopes(entries, jnp.eye(len(entries)), tile, model)
+        assert np.isfinite(np.asarray(found)).all(), depth
+        assert np.isfinite(np.asarray(slopes)).all(), depth
 
 
 @pytest.mark.usefixtures("x64")

@@ -13,6 +13,7 @@ from fit.solve._declare import declare
 from fit.solve._parameters import to_entries
 from model_jax import (
     Fields,
+    LayersLook,
     Look,
     Response,
     analytic_layers,
@@ -103,3 +104,17 @@ def test_starts_whose_light_overflows_are_passed_over() -> None:
     assert found.verdict == "diverged"  # no start's light is a number
     found = fit.fit(photo, layers, Steep(steepness=10 / widest), sampling="point")
     assert found.look.steepness == pytest.approx(3.0, rel=1e-4), found.message
+
+
+@pytest.mark.parametrize("terms", ["density", "density+saturation"])
+def test_uniform_air_ends_at_the_largest_scale_height(terms: str) -> None:
+    """A slab thins out nowhere: its scale height runs to the bound that the scene gives it, where
+    air is uniform to a quarter of a thousandth, and all else is as it was drawn."""
+    scene = scene_of((0.0, -3.0, 0.4), size=(97, 73), fov=45.0, shell=0.2)
+    layers = analytic_layers(scene)
+    picture = np.asarray(composite(layers, LayersLook(3.0, 0.2)))[..., :3]
+    photo = picture + np.random.default_rng(4).normal(0, 1e-3, picture.shape)
+    found = fit.fit(photo.astype(np.float32), layers, find_look(f"air+{terms}")(), sampling="point")
+    assert found.verdict == "at_bound", found.message
+    assert 900 * 0.2 * RADIUS < found.parameters["scale_height"].value <= 1000 * 0.2 * RADIUS
+    assert found.parameters["brightness"].value == pytest.approx(3.0, rel=2e-3)
