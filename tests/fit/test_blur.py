@@ -251,3 +251,13 @@ def test_blur_from_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert document["parameters"]["blur"]["unit"] == "px"
     assert document["parameters"]["blur"]["initial"] == 0.5
     assert airlight("render", "scene.toml", "--look", "air", "--terms", "blur", "-o", "p.exr") == 2
+
+
+def test_the_middle_of_a_disc_is_no_division_by_zero() -> None:
+    """All ways lead out from a pixel whose ray goes through the planet's middle."""
+    scene = planet(None, 33)
+    camera = replace(scene.camera, forward=np.array([-1.0, 0.0, 0.0]))
+    layers = analytic_layers(replace(scene, camera=camera))
+    photo = np.asarray(composite(layers, air()))[..., :3]
+    inside = planet_light(photo, layers, 1.0)
+    assert np.isfinite(inside.light).all()

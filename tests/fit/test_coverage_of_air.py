@@ -1,8 +1,9 @@
 """Do 95 % intervals of air that thins out and saturates hold the truth, sharp and blurred?
 
-As in `test_coverage`: each photo has a look and noise of its own, and then becomes 8 bits. The blur
-of a photo is a convolution of a picture four times as fine, so what the model leaves of it is in
-the intervals, too.
+As in `test_coverage`: each photo has a look and noise of its own, and then becomes 8 bits. Sharp
+photos show a whole planet; blurred ones 14° of a limb, 400 px in radius, on both sides of the
+terminator, in front of a planet that is lit. The blur is a convolution of a picture four times as
+fine and eight pixels wider, so what the model leaves of it is in the intervals, too.
 """
 
 from dataclasses import replace
@@ -23,17 +24,31 @@ from .looks import exact_layers
 from .test_coverage import LEAST, MOST
 
 AIR = find_look("air+density+saturation")
-SCENE = scene_of((0.0, -3.0, 0.4), size=(97, 73), fov=45.0, shell=0.4)
-FINE = 4
+WIDTH, HEIGHT = 97, 73
+PLACE, LIMB = np.array([3.0, 0.0, 0.0]), np.array([1.0, 0.0, np.sqrt(8)]) / 3
+SCENES = {
+    "sharp": scene_of((0.0, -3.0, 0.4), size=(WIDTH, HEIGHT), fov=45.0, shell=0.4),
+    "soft": scene_of(
+        tuple(PLACE),
+        tuple(1.004 * LIMB),
+        sun=(0.0, 1.0, 0.0),
+        size=(WIDTH, HEIGHT),
+        fov=3.8,
+        shell=0.05,
+        near=1.5,
+        far=4.5,
+    ),
+}
 BLUR = 1.2
+FINE, BORDER = 4, 8
 
 
-def draw_look(rng: np.random.Generator) -> Look:
+def draw_look(rng: np.random.Generator, shell: float) -> Look:
     """Light of up to half of white; optical depths of 0.3 to 3 at the limb."""
-    extinction = rng.uniform(4, 16, 3)
+    extinction = rng.uniform(4, 16, 3) * np.sqrt(0.4 / shell)
     tint = rng.uniform(0.7, 1.3, 3)
     return AIR(
-        scale_height=RADIUS * rng.uniform(0.03, 0.06),
+        scale_height=shell * RADIUS * rng.uniform(0.075, 0.15),
         extinction=extinction,
         brightness=0.5 * extinction.mean(),
         shadow=rng.uniform(0.1, 0.5),
@@ -49,12 +64,17 @@ def sharp(look: Look, layers: Layers, rng: np.random.Generator, folder: Path) ->
 
 
 def soft(look: Look, layers: Layers, rng: np.random.Generator, folder: Path) -> FitResult:
-    camera = replace(SCENE.camera, width=97 * FINE, height=73 * FINE)
-    lit = replace(SCENE, camera=camera, planet=Planet(RADIUS, albedo=(0.3, 0.35, 0.4)))
+    scene = SCENES["soft"]
+    width, height = WIDTH + 2 * BORDER, HEIGHT + 2 * BORDER
+    half = np.tan(np.radians(scene.camera.fov_y_deg) / 2) * height / HEIGHT
+    fov = float(np.degrees(2 * np.arctan(half)))
+    camera = replace(scene.camera, width=width * FINE, height=height * FINE, fov_y_deg=fov)
+    lit = replace(scene, camera=camera, planet=Planet(RADIUS, albedo=(0.3, 0.35, 0.4)))
     light = np.asarray(composite(analytic_layers(lit), look), np.float64)[..., :3]
     light = gaussian_filter(light, (BLUR * FINE, BLUR * FINE, 0), mode="nearest")
-    light = light.reshape(73, FINE, 97, FINE, 3).mean(axis=(1, 3))
-    photo = rounded(light, rng, folder)
+    light = light.reshape(height, FINE, width, FINE, 3).mean(axis=(1, 3))
+    inner = slice(BORDER, -BORDER)
+    photo = rounded(light[inner, inner], rng, folder)
     return fit(photo, layers, AIR(), response=Response(blur=1.0))
 
 
@@ -63,11 +83,14 @@ KINDS = {"sharp": sharp, "soft": soft}
 
 def covered(kind: str, count: int, seed: int, folder: Path) -> dict[str, list[bool | None]]:
     """Of each free parameter and fit, whether its interval holds the truth; None without one."""
-    layers = exact_layers(SCENE)
+    scene = SCENES[kind]
+    layers = exact_layers(scene)
+    assert scene.atmosphere is not None
+    shell = float(scene.atmosphere.height) / RADIUS
     found: dict[str, list[bool | None]] = {}
     for child in np.random.SeedSequence(seed).spawn(count):
         rng = np.random.default_rng(child)
-        look = draw_look(rng)
+        look = draw_look(rng, shell)
         result = KINDS[kind](look, layers, rng, folder)
         responses = [Response(blur=BLUR if kind == "soft" else None)]
         truth = {p.name: float(p.value) for p in declare(look, responses)}
