@@ -31,8 +31,9 @@ REACH = 4.0 * MOST_BLUR
 PANELS = 12
 """Parabolas from the limb to the air's end: twice as many heights, and one more."""
 
-INNER_PANELS = 3
-"""The same for the air in front of the planet."""
+INNER_PANELS = 4
+"""The same for the air in front of the planet, which grows as a root of the depth below the limb:
+with three in place of four, half a percent of the light at the limb is lost."""
 
 FINEST = 0.5
 """Heights are spaced as the logarithm of z + this many px: finest at the limb, where thin air is
@@ -79,8 +80,7 @@ def profile_heights(top: Float[np.ndarray, " m"]) -> Float[np.ndarray, "k m"]:
 
 def inner_heights() -> Float[np.ndarray, " k"]:
     """The same below the limb, px, for pixels at any height: from `REACH` to the limb itself."""
-    steps = np.linspace(np.log(FINEST + REACH), np.log(FINEST), INNER_PANELS + 1)
-    return _with_middles(FINEST - np.exp(steps))
+    return _with_middles(-REACH * np.linspace(1, 0, INNER_PANELS + 1) ** 3)
 
 
 def _with_middles(edges: Float[np.ndarray, "p ..."]) -> Float[np.ndarray, "k ..."]:

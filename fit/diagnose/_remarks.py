@@ -262,6 +262,11 @@ def warnings_of(
             + (f"{fact.amplitude}'s interval." if fact is not None else "no interval.")
         )
     found += _value_warnings(result, task.parameters)
+    if identified and task.blurs:
+        found.append(
+            "The planet's light is carried on to its limb from inside, and light from lines across "
+            "it: near the limb that is wrong by up to a percent, which the intervals do not hold."
+        )
     lossy = any(isinstance(p, Photo) and p.lossy for p in task.photos)
     if lossy and identified and not debiased:
         asked = task.jpeg == "undo"

@@ -88,8 +88,9 @@ def _blurred(
 ) -> Float[jax.Array, "3 n"]:
     """Recorded light of pixels beside a planet, whose light was measured as it was recorded.
 
-    Inside the limb that is the planet's through the air, and the air's. What is measured deep
-    inside less the air's goes on to the limb as a line, dimmed more where there is more air.
+    Inside the limb that is the planet's through the air, and the air's. What is measured at two
+    places deep inside, less the air's, divided by what passes there, goes on to the limb as a line,
+    times what passes on the way.
     """
     stencil = tile.stencil
     assert stencil is not None
@@ -130,17 +131,17 @@ def _blurred(
         places = len(heights)
         deep, shallow = stencil.band
         along = ((heights - deep) / (shallow - deep))[None, :, None]
-        first, last = air[:, None, places], air[:, None, places + 1]
-        line = first + (last - first) * along
-        more = air[:, :places] - line
-        if passed is not None:
-            there = (passed[:, places] + passed[:, places + 1]) / 2
-            # Nothing passes air that dark; the slope of a quotient divides by its square.
-            there = jnp.where(there < jnp.finfo(there.dtype).tiny ** 0.5, 0, there)
-            share = jnp.minimum(safe_divide(passed[:, :places], there[:, None], 0.0), 1) - 1
-            more = more - line * share
-            light = light + level * spread(weights, share)
-            light = light - change * spread(weights, share * heights[None, :, None])
+        more = air[:, :places]
+        for number, (end, share) in enumerate(((deep, 1 - along), (shallow, along))):
+            there = places + number
+            less = share * jnp.ones_like(more)
+            if passed is not None:
+                # Nothing passes air so dark; the slope of a quotient divides by its square.
+                least = jnp.finfo(passed.dtype).tiny ** 0.5
+                whole = jnp.where(passed[:, None, there] < least, 0, passed[:, None, there])
+                less = share * jnp.minimum(safe_divide(passed[:, :places], whole, 0.0), 1)
+                light = light + (level - change * end) * spread(weights, less - share)
+            more = more - air[:, None, there] * less
         light = light + own * spread(weights, more)
     recorded = record(light, Response(exposure, gamma), linear=model.straight)
     return recorded + own * black_level
