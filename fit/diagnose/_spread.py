@@ -21,6 +21,7 @@ H is the full second derivative, of the loss and of the model.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,9 +31,8 @@ from model_jax._shapes import AnyArray
 
 from .._compile import float64, program
 from ..photo._blocks import block_numbers
-from ..photo._stencil import ALONG
 from ..solve._loss import weigh
-from ..solve._model import Model, tile_slopes
+from ..solve._model import Model, predict, tile_slopes
 from ..solve._problem import Point
 from ..solve._samples import Samples, tile_at
 from ..solve._scaled import unit_diagonal
@@ -130,9 +130,6 @@ def spread_of(
     columns, prior_of = point.problem.columns, point.problem.model.prior
     p = point.directions.shape[1]
     length, area, products = correlation(columns, sizes, residuals)
-    if any(c.stencil is not None for c in columns):
-        # The planet's light is measured, and what it is wrong by is so for pixels side by side.
-        length = max(length, ALONG)
     unit = LEAST_BLOCK
     side = unit * int(np.ceil(max(LENGTHS * length, unit) / unit)) if length > 1 else unit
     while True:
@@ -154,6 +151,7 @@ def spread_of(
     middle = whitened.T @ whitened * _border_share(products, side)
     middle += noise**2 * whiten.T @ prior @ whiten
     middle += rounding**2 * leverage.sum(axis=0)
+    middle += whiten.T @ _planet_noise(point) @ whiten
     root = whiten @ np.linalg.inv(whiten.T @ hessian @ whiten)
     covariance = root @ middle @ root.T
     return Spread(covariance, hessian, length, side, blocks, area, root, leverage)
@@ -217,6 +215,62 @@ def _tile_scores(
         return rows, second
 
     return jax.lax.map(scores, jnp.asarray(numbers))
+
+
+def _planet_noise(point: Point) -> Float[np.ndarray, "p p"]:
+    """What the noise of the planet's light inside its limb adds to the covariance of the scores.
+
+    It is measured in pixels of its own, and what it is wrong by is so for many beside them; more of
+    them along the limb than a block has, so that sums over blocks do not tell.
+    """
+    problem, p = point.problem, point.directions.shape[1]
+    found = np.zeros((p, p))
+    if all(c.stencil is None for c in problem.columns):
+        return found
+    samples = problem.samples
+    count, photo = np.asarray(samples.count), np.asarray(samples.photo)
+    pulls = [np.zeros((len(c.index), 6 * p)) for c in problem.columns]
+    starts = [0] * len(pulls)
+    with float64():
+        for filled, tiles in tile_groups(samples):
+            rows = np.asarray(
+                _tile_pulls(point.vector, point.directions, samples, problem.model, tiles)
+            )
+            for k in range(filled):
+                n, which = count[tiles[k]], photo[tiles[k]]
+                pulls[which][starts[which] : starts[which] + n] = rows[k, :, :n].T
+                starts[which] += n
+    for c, pull in zip(problem.columns, pulls, strict=True):
+        if c.inside is not None and c.stencil is not None:
+            pieces = (c.inside.shares(c.stencil.angle).T @ pull).reshape(-1, 2, 3, p)
+            errors = np.einsum("rmk,mkcp->crp", c.inside.errors, pieces, optimize=True)
+            errors = errors * c.inside.noise[:, None, None]
+            found += np.einsum("crp,crq->pq", errors, errors)
+    return found
+
+
+@program
+def _tile_pulls(
+    vector: AnyArray, directions: AnyArray, samples: Samples, model: Model, numbers: AnyArray
+) -> jax.Array:
+    """How much each pixel's p scores change with level and change of the planet's light beside it,
+    by channel: [tiles, 6 p, n]."""
+
+    def pull(number: jax.Array) -> jax.Array:
+        tile = tile_at(samples, number)
+        _, slopes = tile_slopes(vector, directions, tile, model)
+        inside = tile.stencil.inside  # type: ignore[union-attr]
+
+        def seen(light: jax.Array) -> jax.Array:
+            return predict(vector, eqx.tree_at(lambda t: t.stencil.inside, tile, light), model)
+
+        ways = jnp.repeat(jnp.eye(2), 3, axis=1)[:, :, None] * jnp.ones_like(inside)[None]
+        predicted, push = jax.linearize(seen, inside)
+        _, _, curved = weigh(predicted - tile.light, tile.clipped, model.loss)
+        by_light = jax.vmap(push)(ways) * (curved * tile.weight[None])[None]
+        return jnp.einsum("kcn,pcn->kcpn", by_light, slopes).reshape(-1, inside.shape[-1])
+
+    return jax.lax.map(pull, jnp.asarray(numbers))
 
 
 def inverse_root(hessian: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:

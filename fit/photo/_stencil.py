@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_matrix
 
 from model_jax import InputError, Layers
 from model_jax._blur import MOST_BLUR, REACH, inner_heights, profile_heights
@@ -57,6 +58,10 @@ class Inside:
     """Level at the limb, then its change for each pixel down from it, of each channel."""
     near: float
     """Depth below the limb, px, from which it was measured, over `INSIDE`."""
+    noise: Float[np.ndarray, "3"]
+    """Standard deviation of a pixel it was measured in, about its piece of the limb."""
+    errors: Float[np.ndarray, "r m 2"]
+    """What each independent error makes of level and change of all, where `noise` is 1."""
 
     @property
     def band(self) -> Float[np.ndarray, "2"]:
@@ -64,8 +69,17 @@ class Inside:
         return -self.near - INSIDE * (0.5 + np.array([0.5, -0.5]) / np.sqrt(3))
 
     def at(self, angle: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 6"]:
-        found = [np.interp(angle, self.angle, part, period=2 * np.pi) for part in self.light.T]
-        return np.stack(found, axis=-1)
+        return np.asarray(self.shares(angle) @ self.light)
+
+    def shares(self, angle: Float[np.ndarray, " n"]) -> csr_matrix:
+        """How much of each piece's light is a direction's: that of the two beside it, `[n m]`."""
+        rows, count = np.arange(len(angle)), len(self.angle)
+        around = np.concatenate([self.angle, self.angle[:1] + 2 * np.pi])
+        ahead = (angle - around[0]) % (2 * np.pi)
+        before = np.clip(np.searchsorted(around - around[0], ahead, side="right") - 1, 0, count - 1)
+        share = (ahead - (around - around[0])[before]) / np.diff(around)[before]
+        pairs = np.concatenate([rows, rows]), np.concatenate([before, (before + 1) % count])
+        return csr_matrix((np.concatenate([1 - share, share]), pairs), (len(angle), count))
 
 
 @dataclass(frozen=True)
@@ -203,17 +217,46 @@ def light_inside(
     if angle.size < INSIDE:
         return None
     order = np.argsort(angle)
-    at, mean, middle, slope = _along(angle[order], depth[order], level[order])
-    slope = _smoothed(at, slope)
-    return Inside(at, np.concatenate([mean - slope * middle[:, None], slope], axis=-1), near)
+    pieces = _along(angle[order], depth[order], level[order])
+    smoothing, middle = _smoothing(pieces.angle), pieces.depth
+    slope = smoothing @ pieces.slope
+    # Errors of means are their pieces' own, those of slopes of all that were smoothed with them.
+    of_means = np.zeros((len(middle), len(middle), 2))
+    of_means[..., 0] = np.diag(pieces.count**-0.5)
+    changes = (smoothing * (pieces.count * pieces.spread) ** -0.5).T
+    return Inside(
+        angle=pieces.angle,
+        light=np.concatenate([pieces.level - slope * middle[:, None], slope], axis=-1),
+        near=near,
+        noise=pieces.noise,
+        errors=np.concatenate([of_means, np.stack([-changes * middle, changes], axis=-1)]),
+    )
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """The band in pieces of the limb of about `ALONG`."""
+
+    angle: Float[np.ndarray, " m"]
+    level: Float[np.ndarray, "m 3"]
+    """Mean light."""
+    depth: Float[np.ndarray, " m"]
+    """Mean depth."""
+    slope: Float[np.ndarray, "m 3"]
+    """Change of light with depth."""
+    count: Int[np.ndarray, " m"]
+    spread: Float[np.ndarray, " m"]
+    """Variance of depths."""
+    noise: Float[np.ndarray, "3"]
+    """Of pixels about their piece's line."""
 
 
 def _along(
     angle: Float[np.ndarray, " n"],
     depth: Float[np.ndarray, " n"],
     level: Float[np.ndarray, "n 3"],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pieces of the limb of about `ALONG`: angle, mean light, mean depth, and slope by depth."""
+) -> _Pieces:
+    """The pieces of pixels that come along the limb."""
     pieces = max(round(len(angle) / (INSIDE * ALONG)), 1)
     number = np.arange(len(angle)) * pieces // len(angle)
     count = np.bincount(number, minlength=pieces)
@@ -226,11 +269,13 @@ def _along(
     spread = np.maximum(mean(off * off), 1e-12)
     levels = np.stack([mean(channel) for channel in level.T], axis=-1)
     slopes = np.stack([mean(off * channel) for channel in level.T], axis=-1) / spread[:, None]
-    return mean(angle), levels, middle, slopes
+    left = level - levels[number] - slopes[number] * off[:, None]
+    noise = np.sqrt((left**2).sum(axis=0) / max(len(level) - 2 * pieces, 1))
+    return _Pieces(mean(angle), levels, middle, slopes, count, spread, noise)
 
 
-def _smoothed(angle: Float[np.ndarray, " m"], slope: Float[np.ndarray, "m 3"]) -> np.ndarray:
-    """Slopes of pieces, each from the line through those within `SLOPE_ALONG`."""
+def _smoothing(angle: Float[np.ndarray, " m"]) -> Float[np.ndarray, "m m"]:
+    """What makes of values of pieces those of the lines through all within `SLOPE_ALONG`."""
     pieces = int(SLOPE_ALONG / ALONG / 2)
     reach = (pieces + 0.5) * np.median(np.diff(angle)) if len(angle) > 1 else 1.0
     apart = ((angle - angle[:, None] + np.pi) % (2 * np.pi) - np.pi) / reach
@@ -238,7 +283,7 @@ def _smoothed(angle: Float[np.ndarray, " m"], slope: Float[np.ndarray, "m 3"]) -
     middle = apart.mean(axis=1, where=near, keepdims=True)
     off = np.where(near, apart - middle, 0)
     spread = np.maximum((off * off).sum(axis=1, keepdims=True), 1e-12)
-    return (near / near.sum(axis=1, keepdims=True) - off * middle / spread) @ slope
+    return np.asarray(near / near.sum(axis=1, keepdims=True) - off * middle / spread)
 
 
 def along_limb(layers: Layers, index: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:

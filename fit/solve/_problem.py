@@ -32,6 +32,11 @@ UNIFORM = 1000.0
 thousandth on its way up is uniform to a quarter of that, less than a step of 8 bits."""
 
 
+LINE = 0.02
+"""Pixels in which air thins out at least where a photo is blurred: light of less is a line, of
+which only the sum is told."""
+
+
 def likely_ranges(columns: Sequence[Columns]) -> dict[str, tuple[float, float]]:
     """By unit, what is likely of lengths and of what is per width, by the air's size."""
     height = width = 0.0
@@ -50,17 +55,30 @@ def likely_ranges(columns: Sequence[Columns]) -> dict[str, tuple[float, float]]:
 def within_scene(
     parameters: Sequence[FitParameter], columns: Sequence[Columns]
 ) -> tuple[FitParameter, ...]:
-    """The parameters; free lengths without an upper bound get one, `UNIFORM`, or they would run off
-    where the air is uniform."""
+    """The parameters; free lengths without bounds get those of the scene, or they would run off
+    where the air is uniform or, in a blurred photo, a line of light."""
     ranges = likely_ranges(columns)
     if LENGTH not in ranges:
         return tuple(parameters)
-    most = UNIFORM * ranges[LENGTH][1]
+    most, least = UNIFORM * ranges[LENGTH][1], _shortest(columns)
 
-    def runs_off(p: FitParameter) -> bool:
-        return p.unit == LENGTH and p.role != "fixed" and math.isinf(p.upper) and p.value < most
+    def within(p: FitParameter) -> FitParameter:
+        if p.unit != LENGTH or p.role == "fixed" or not least < p.value < most:
+            return p
+        lower = least if p.lower == 0 else p.lower
+        return replace(p, lower=lower, upper=most if math.isinf(p.upper) else p.upper)
 
-    return tuple(replace(p, upper=most) if runs_off(p) else p for p in parameters)
+    return tuple(within(p) for p in parameters)
+
+
+def _shortest(columns: Sequence[Columns]) -> float:
+    """The least length that blurred photos tell from 0; 0 of sharp ones."""
+    found = 0.0
+    for c in columns:
+        if c.stencil is not None and "altitude" in c.stencil.fields and c.stencil.heights.any():
+            height, px = c.stencil.fields["altitude"].max(), c.stencil.heights.max()
+            found = max(found, LINE * float(height / px))
+    return found
 
 
 @dataclass(frozen=True)
