@@ -229,7 +229,8 @@ def _planet_noise(point: Point) -> Float[np.ndarray, "p p"]:
         return found
     samples = problem.samples
     count, photo = np.asarray(samples.count), np.asarray(samples.photo)
-    pulls = [np.zeros((len(c.index), 6 * p)) for c in problem.columns]
+    insides = [c.inside for c in problem.columns]
+    pulls = [np.zeros((0 if i is None else len(i.angle), 6 * p)) for i in insides]
     starts = [0] * len(pulls)
     with float64():
         for filled, tiles in tile_groups(samples):
@@ -238,13 +239,17 @@ def _planet_noise(point: Point) -> Float[np.ndarray, "p p"]:
             )
             for k in range(filled):
                 n, which = count[tiles[k]], photo[tiles[k]]
-                pulls[which][starts[which] : starts[which] + n] = rows[k, :, :n].T
+                inside, stencil = insides[which], problem.columns[which].stencil
+                assert inside is not None
+                assert stencil is not None
+                angle = stencil.angle[starts[which] : starts[which] + n]
+                pulls[which] += inside.shares(angle).T @ rows[k, :, :n].T
                 starts[which] += n
-    for c, pull in zip(problem.columns, pulls, strict=True):
-        if c.inside is not None and c.stencil is not None:
-            pieces = (c.inside.shares(c.stencil.angle).T @ pull).reshape(-1, 2, 3, p)
-            errors = np.einsum("rmk,mkcp->crp", c.inside.errors, pieces, optimize=True)
-            errors = errors * c.inside.noise[:, None, None]
+    for inside, pull in zip(insides, pulls, strict=True):
+        if inside is not None:
+            pieces = pull.reshape(-1, 2, 3, p)
+            errors = np.einsum("rmk,mkcp->crp", inside.errors, pieces, optimize=True)
+            errors = errors * inside.noise[:, None, None]
             found += np.einsum("crp,crq->pq", errors, errors)
     return found
 

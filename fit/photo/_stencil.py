@@ -32,7 +32,7 @@ ALONG = 16.0
 SLOPE_ALONG = 64.0
 """Pixels along the limb over which its slope is, as a line: a slope reaches over the band's depth,
 and what it is wrong by grows with that. A mean over 128 lost the terminator, and with it a tenth of
-the shadow weight."""
+the dark air's light."""
 SKY = 24.0
 """Pixels of sky beyond the air that are looked at, to tell what is there without it."""
 LINES = 4.0
