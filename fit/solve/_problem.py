@@ -46,7 +46,8 @@ def likely_ranges(columns: Sequence[Columns]) -> dict[str, tuple[float, float]]:
             height = max(height, float(c.fields["altitude"][through > 0].max(initial=0.0)))
             width = max(width, float((through * c.fields["per_length"]).max(initial=0.0)))
         elif "lit" in c.fields:
-            width = max(width, float((c.fields["lit"] + c.fields.get("dark", 0.0)).max()))
+            through = c.fields["lit"] + c.fields.get("dark", 0.0)
+            width = max(width, float(through.max(initial=0.0)))
     likely = {LENGTH: (SHALLOWEST * height, height)} if height > 0 else {}
     depths = {PER_UNIT: (DEPTHS[0] / width, DEPTHS[1] / width)} if width > 0 else {}
     return likely | depths
