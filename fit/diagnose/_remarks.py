@@ -265,7 +265,7 @@ def warnings_of(
     if identified and task.blurs:
         found.append(
             "The planet's light is carried on to its limb from inside, and light from lines across "
-            "it: near the limb that is wrong by up to a percent, which the intervals do not hold."
+            "it: near the limb that is wrong by a percent or two, which the intervals do not hold."
         )
     lossy = any(isinstance(p, Photo) and p.lossy for p in task.photos)
     if lossy and identified and not debiased:

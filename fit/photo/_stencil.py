@@ -74,10 +74,10 @@ class Inside:
     def shares(self, angle: Float[np.ndarray, " n"]) -> csr_matrix:
         """How much of each piece's light is a direction's: that of the two beside it, `[n m]`."""
         rows, count = np.arange(len(angle)), len(self.angle)
-        around = np.concatenate([self.angle, self.angle[:1] + 2 * np.pi])
-        ahead = (angle - around[0]) % (2 * np.pi)
-        before = np.clip(np.searchsorted(around - around[0], ahead, side="right") - 1, 0, count - 1)
-        share = (ahead - (around - around[0])[before]) / np.diff(around)[before]
+        edges = np.append(self.angle - self.angle[0], 2 * np.pi)
+        ahead = (angle - self.angle[0]) % (2 * np.pi)
+        before = np.clip(np.searchsorted(edges, ahead, side="right") - 1, 0, count - 1)
+        share = (ahead - edges[before]) / np.diff(edges)[before]
         pairs = np.concatenate([rows, rows]), np.concatenate([before, (before + 1) % count])
         return csr_matrix((np.concatenate([1 - share, share]), pairs), (len(angle), count))
 
