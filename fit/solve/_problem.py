@@ -92,7 +92,7 @@ class Problem:
     parameters: tuple[FitParameter, ...]
     model: Model
     is_rough: bool = False
-    """`samples` are the reduced ones already."""
+    """`samples` are what descents are made on: the reduced ones already, or all."""
 
     @cached_property
     def reduced(self) -> Samples:
@@ -141,6 +141,10 @@ class Problem:
     def rough(self) -> "Problem":
         """The reduced samples in place of all: for answers that are asked again."""
         return replace(self, samples=self.reduced, is_rough=True)
+
+    def whole(self) -> "Problem":
+        """All samples in place of the reduced ones: for what these lead away from."""
+        return replace(self, is_rough=True)
 
     def beside(self, columns: Sequence[Columns]) -> "Problem":
         """The same look and model seen by other pixels."""

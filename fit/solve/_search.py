@@ -97,8 +97,9 @@ def search(  # long: one loop, and each of its branches changes what the next ro
     first: Descent | None = None
     candidates = seeds
     opinions = 0
+    rough = problem  # where descents are made
     while True:
-        descent = _descend(problem, held, free, method, max_steps, candidates)
+        descent = _descend(rough, held, free, method, max_steps, candidates)
         first = first or descent
         if not descent.finite:
             return _diverged(held, free, at_bound, flat, first)
@@ -107,6 +108,9 @@ def search(  # long: one loop, and each of its branches changes what the next ro
         directions, moved = free_directions(free, parameters)
         if not np.isfinite(gram).all():
             return _diverged(vector, free, at_bound, flat, first)
+        if rough is problem and _ends_elsewhere(problem, gram):
+            rough, held, candidates = problem.whole(), vector, [vector]
+            continue
         found = find_flat(Point(problem, vector, directions), gram, moved)
         if found is not None:
             flat.append(found)
@@ -120,7 +124,7 @@ def search(  # long: one loop, and each of its branches changes what the next ro
             beyond = is_outside(vector, near)
             rest = _without(free, near)
             tried = settle_shares(_at_bounds(vector, near, parameters), rest, parameters)
-            tried = _best_from(problem, tried, rest, method, max_steps)
+            tried = _best_from(rough, tried, rest, method, max_steps)
             if beyond or problem.square_sum(tried) <= float(gram[-1, -1]) + margin:
                 at_bound, free = at_bound + near, rest
                 held, candidates = tried, [tried]
@@ -133,7 +137,7 @@ def search(  # long: one loop, and each of its branches changes what the next ro
             held = _placed(vector, {p: p.least for p in low}, parameters)
             at_bound, free = at_bound + low, _without(free, low)
             held = settle_shares(held, free, parameters)
-            candidates = [_best_from(problem, held, free, method, max_steps)]
+            candidates = [_best_from(rough, held, free, method, max_steps)]
             continue
         loose = _loose(problem, vector, free, at_bound, margin)
         if loose is not None and loose.name not in inside:
@@ -205,6 +209,20 @@ def _lowest(
     inside = np.stack([put_inside(vector, free, problem.parameters) for vector in candidates])
     costs = np.asarray(square_sums(jnp.asarray(inside), samples, problem.model))
     return candidates[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
+
+
+def _ends_elsewhere(problem: Problem, gram: np.ndarray) -> bool:
+    """Whether few pixels led to a place from which exact steps do not end: then all have to lead.
+
+    Where a valley is long, its lowest place for a few pixels is far from that for all, and steps
+    that know no bounds stop at the first.
+    """
+    return (
+        not is_separable(problem.model.layout)
+        and not problem.is_rough
+        and problem.reduced is not problem.samples
+        and not is_settled(problem, gram)
+    )
 
 
 def _is_near_bound(p: FitParameter, vector: Entries) -> bool:
