@@ -11,10 +11,11 @@ it, and so Gauss–Legendre's six nodes lie where the air is.
 Twins in `column.glsl`.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +26,7 @@ from jaxtyping import Float
 from ._safe import safe_sqrt
 from ._shapes import AnyArray
 
-Piece = tuple[AnyArray, AnyArray, AnyArray]
+Piece = tuple[AnyArray, AnyArray, AnyArray, AnyArray]
 
 REACH = 10.0
 """t² - t1² at which the integral ends. Largest relative error over all rays and scale heights from
@@ -67,7 +68,7 @@ def columns(
     Source: substitution of the Chapman function's integral (Chapman, "The absorption and
     dissociative or ionizing effect of monochromatic radiation", 1931) that keeps it smooth.
     """
-    near, far, shade = (jnp.stack(part) for part in zip(*pieces(air, dark), strict=True))
+    near, far, shade, _ = (jnp.stack(part) for part in zip(*pieces(air, dark), strict=True))
     given = jnp.broadcast_arrays(near, far, altitude[None], impact[None], scale_height[None])
     found = _each(*given)
     if dark is None:
@@ -123,50 +124,91 @@ def _quadrature(
     and by H what the end moves, where the integral is cut off: 5e-4 of the last, which is then as
     exact as the column. By the first four 5e-5 of ρ1 is left out likewise.
     """
-    first, last = safe_sqrt(impact * impact + near * near), safe_sqrt(impact**2 + far * far)
-    least = STEEPEST * (first + impact)
-    height = jnp.maximum(scale_height, least)
-    # Of a ray through the centre both are 0 at near = 0, and so is t.
-    begin = near / safe_sqrt(_positive(height * (first + impact)))
-    end = far / safe_sqrt(_positive(height * (last + impact)))
-    # end - begin, from the lengths themselves: of a short piece far out its digits would be gone.
-    rise = (far - near) * ((far + near) / _positive(first + last)) / height
-    whole = rise / _positive(begin + end)
-    reached = safe_sqrt(begin * begin + REACH)
-    length = jnp.minimum(whole, REACH / (reached + begin))
+    way = rise_of(near, far, altitude, impact, scale_height)
+    first, height, begin, length = way.first, way.height, way.begin, way.length
     total, of_height, of_impact = (jnp.zeros_like(length) for _ in range(3))
     for node, share in zip(NODES, SHARES, strict=True):
         step = node * length
         t = begin + step
         fall = step * (t + begin)
         above = height * t * t
-        piece = share * jnp.exp(-fall) / safe_sqrt(_positive(2 * impact + above))
+        piece = share * jnp.exp(-fall) / safe_sqrt(positive(2 * impact + above))
         of_impact = of_impact + piece * above
         piece = piece * (impact + above)
         total = total + piece
         of_height = of_height + piece * fall
-    # Height above R, without squares of large numbers that cancel.
-    low = altitude + near * (near / _positive(first + impact))
-    depth = -low / height
+    depth = -way.low / height
     density = jnp.exp(jnp.minimum(depth, DEEPEST))
     scale = 2 * safe_sqrt(height) * density * length
     found = scale * total
     moved = first + REACH * height
     cut = REACH * math.exp(-REACH) * density * moved
-    further = reached * safe_sqrt(height * (moved + impact))
-    cut = jnp.where(whole > length, cut / _positive(further), 0)
+    further = way.reached * safe_sqrt(height * (moved + impact))
+    cut = jnp.where(way.whole > length, cut / positive(further), 0)
     by_height = scale * (of_height - depth * total) / height + cut
     slopes = (
         -density,
-        density * jnp.exp(-rise),
+        density * jnp.exp(-way.rise),
         -found / height,
         scale * of_impact / height,
-        jnp.where(scale_height < least, 0, by_height),
+        jnp.where(scale_height < way.least, 0, by_height),
     )
     return found, slopes
 
 
-def _positive(x: AnyArray) -> AnyArray:
+class Rise(NamedTuple):
+    """How a piece rises from its nearest point, t as in the module."""
+
+    first: AnyArray
+    """Distance from the centre at its near end."""
+    low: AnyArray
+    """Height there."""
+    height: AnyArray
+    """Scale height, at least `least`."""
+    least: AnyArray
+    begin: AnyArray
+    """t at the near end."""
+    rise: AnyArray
+    """t² - t1² at the far end."""
+    whole: AnyArray
+    """t2 - t1 there."""
+    length: AnyArray
+    """The same as far as it counts."""
+    reached: AnyArray
+    """t where it ends, if it reaches as far as it counts."""
+
+
+def rise_of(
+    near: AnyArray, far: AnyArray, altitude: AnyArray, impact: AnyArray, scale_height: AnyArray
+) -> Rise:
+    """The way of a piece, as of `column`.
+
+    Twin: `rise_of` in `column.glsl`.
+    """
+    first, last = safe_sqrt(impact * impact + near * near), safe_sqrt(impact**2 + far * far)
+    least = STEEPEST * (first + impact)
+    height = jnp.maximum(scale_height, least)
+    # Of a ray through the centre both are 0 at near = 0, and so is t.
+    begin = over(near, safe_sqrt(height * (first + impact)))
+    end = over(far, safe_sqrt(height * (last + impact)))
+    # end - begin, from the lengths themselves: of a short piece far out its digits would be gone.
+    rise = (far - near) * over(far + near, first + last) / height
+    whole = over(rise, begin + end)
+    reached = safe_sqrt(begin * begin + REACH)
+    length = jnp.minimum(whole, REACH / (reached + begin))
+    # Height above R, without squares of large numbers that cancel.
+    low = altitude + near * over(near, first + impact)
+    return Rise(first, low, height, least, begin, rise, whole, length, reached)
+
+
+def over(numerator: AnyArray, denominator: AnyArray) -> AnyArray:
+    """The quotient, and 0 where both are next to nothing; slopes of any order are numbers."""
+    least = jnp.finfo(denominator.dtype).tiny ** 0.5
+    there = denominator > least
+    return jnp.where(there, numerator / jnp.where(there, denominator, 1), 0)
+
+
+def positive(x: AnyArray) -> AnyArray:
     """What divides: 0 / 0 is 0 here, for the numerator is what makes it 0."""
     return jnp.maximum(x, jnp.finfo(x.dtype).tiny ** 0.5)
 
@@ -193,7 +235,8 @@ def pieces(air: Sequence[AnyArray], dark: Sequence[AnyArray] | None) -> list[Pie
     Arguments as of `columns`.
 
     Returns:
-        (near, far, dark) of each: distances from the nearest point, and 1 where it is dark, else 0.
+        (near, far, dark, before) of each: distances from the nearest point, 1 where it is dark, and
+        where it lies before that point, else 0.
 
     Twin: `pieces` in `column.glsl`.
     """
@@ -210,9 +253,10 @@ def pieces(air: Sequence[AnyArray], dark: Sequence[AnyArray] | None) -> list[Pie
         inner = [(middle > first).astype(zero.dtype), (middle < last).astype(zero.dtype)]
         darks = [zero, *inner, zero]
     ends = [jnp.abs(cut) for cut in cuts]
+    before = [(a + b < 0).astype(zero.dtype) for a, b in itertools.pairwise(cuts)]
     return [
-        (jnp.minimum(a, b), jnp.maximum(a, b), in_shadow)
-        for a, b, in_shadow in zip(ends[:-1], ends[1:], darks, strict=True)
+        (jnp.minimum(a, b), jnp.maximum(a, b), in_shadow, early)
+        for a, b, in_shadow, early in zip(ends[:-1], ends[1:], darks, before, strict=True)
     ]
 
 

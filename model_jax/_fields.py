@@ -72,6 +72,9 @@ FIELDS: dict[str, Field] = {
     "altitude": Field("height of the ray's nearest point above the planet's radius", "length"),
     "impact": Field("distance of that point from the planet's centre", "length"),
     "per_length": Field("width of a unit of length along the ray", "width_unit/length"),
+    "sunward": Field("how far towards the sun that point lies from the planet's centre", "length"),
+    "sun_cos": Field("cosine of the angle between the ray and the direction to the sun", "1"),
+    "shell": Field("height at which the air ends", "length"),
 }
 """Every field a look may ask for. All are `[..., 1]`; the air's `color`, `[..., 3]`, is always
 there."""
@@ -82,6 +85,12 @@ WIDTHS = ("width", "lit", "dark")
 PLACES = ("begin", "end", "dark_begin", "dark_end", "altitude", "impact", "per_length")
 """Those that tell where on the ray and how high the air is."""
 
+OF_SUN = ("sunward", "sun_cos")
+"""Those that tell where the sun is."""
+
+OF_VIEW = (*PLACES, *OF_SUN, "shell")
+"""Those for which one has to know how rays pass the planet."""
+
 
 def amount_of(fields: Mapping[str, AnyArray], name: str) -> AnyArray:
     """How much of a field there is; of where shadow ends, the width of shadow before it."""
@@ -90,7 +99,7 @@ def amount_of(fields: Mapping[str, AnyArray], name: str) -> AnyArray:
     return (fields[name] - fields["dark_begin"]) * fields["per_length"]
 
 
-OF_RAYS = ("altitude", "impact", "per_length")
+OF_RAYS = ("altitude", "impact", "per_length", *OF_SUN, "shell")
 """Those of them that rays have without air too."""
 
 
@@ -137,7 +146,7 @@ def fields_of(
                 "planet); give layers with a planet, or another look"
             )
         found["planet"] = jnp.asarray(layers.planet, jnp.asarray(layers.front).dtype)
-    if any(name in PLACES for name in needs):
+    if any(name in OF_VIEW for name in needs):
         found |= _places(layers, needs, at)
     return {name: found[name] for name in needs if name in found}
 
@@ -151,7 +160,7 @@ def _places(
     """
     view, front = layers.view, jnp.asarray(layers.front)
     if view is None:
-        asked = next(name for name in needs if name in PLACES)
+        asked = next(name for name in needs if name in OF_VIEW)
         raise InputError(
             "layers: do not tell how rays pass the planet, which the look asks for (its field "
             f"{asked}); give layers of a scene, a file that airlight wrote with its scene, or "
@@ -183,7 +192,20 @@ def _places(
         "altitude": here(altitude),
         "impact": here(impact * view.radius),
         "per_length": here(1 / unit),
+        "shell": here((view.shell - 1) * view.radius),
     }
+    if any(name in OF_SUN for name in needs):
+        if not view.cones:
+            raise InputError(
+                "layers: do not tell where the sun is, which the look asks for (its field "
+                f"{next(name for name in needs if name in OF_SUN)}); give the scene a sun, or use "
+                "another look"
+            )
+        right, up, ahead = view.cones[0].axes[2]
+        towards = x * right + y * up + ahead
+        nearest_point = (mx * x + my * y) / dd
+        sunward = mx * right + my * up - nearest_point * towards
+        found |= {"sunward": here(sunward * view.radius), "sun_cos": here(towards / slant)}
     begin, until = layers.shadow_front, layers.shadow_back
     if ("dark_begin" in needs or "dark_end" in needs) and begin is not None and until is not None:
         if np.ndim(begin) > front.ndim:

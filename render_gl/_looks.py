@@ -11,7 +11,7 @@ import numpy as np
 
 from model_jax import InputError, Look
 from model_jax._composite import transmits
-from model_jax._fields import PLACES
+from model_jax._fields import OF_VIEW
 from model_jax._parameter import Parameter
 from model_jax.looks._registry import checked, is_built_in
 
@@ -152,5 +152,5 @@ def look_uniforms(look: Look) -> dict[str, Any]:
 def look_defines(kind: type[Look]) -> dict[str, int]:
     """The switches of a look: its fields, and whether it has a transmittance."""
     fields = {f"FIELD_{name.upper()}": 1 for name in kind.NEEDS}
-    fields |= {"PLACES": 1} if any(name in PLACES for name in kind.NEEDS) else {}
+    fields |= {"PLACES": 1} if any(name in OF_VIEW for name in kind.NEEDS) else {}
     return fields | ({"TRANSMITS": 1} if transmits(kind) else {})

@@ -21,7 +21,9 @@ relative) and e = the driver's worst error of a division in ulp:
               e ulp, the nearest point's error and 8 ulp of itself. The squared distance from the
               centre, (m² + (m×d)²)/d², is off by m's error, 12 ulp of its second square and 6 of
               itself; the distance by its root's share, the height likewise and by 10 ulp of itself,
-              of which an exponential's 2 |x| ulp and its quotient take most.
+              of which an exponential's 2 |x| ulp and its quotient take most. The sun's direction is
+              off by half an ulp, what is along it of the nearest point by m's and that point's
+              errors and 6 ulp of either, the cosine with the ray by 8 ulp of 1.
     look      what the look says of its own arithmetic (`ROUNDINGS`).
 
 The specification allows e = 2.5 against JAX's ½, together 3. Drivers differ (llvmpipe has divided
@@ -41,7 +43,7 @@ from jaxtyping import Float
 
 from model_jax import DriverError, Layers, Look, Scene, combine, depth_constants, linearize_depth
 from model_jax._composite import air_light
-from model_jax._fields import PLACES, WIDTHS, fields_of
+from model_jax._fields import OF_VIEW, WIDTHS, fields_of
 from model_jax._intersect import squared_miss_distance
 from model_jax._shapes import AnyArray
 from model_jax._view import pixel_grid, pixel_slopes, ray_offsets
@@ -190,8 +192,8 @@ def _field_bounds(
         low, high = (np.clip(np.reshape(d, (-1, *front.shape)), front, back) for d in depths)
         ulps = np.spacing(np.abs(low)) + np.spacing(np.abs(high))
         edges = scale * np.sum(np.where(high != low, ulps, 0.0), axis=0)
-    asked = [name for name in PLACES if name in fields]
-    errors = _place_errors(layers, division_ulp) if asked else {}
+    asked = [name for name in OF_VIEW if name in fields]
+    errors = _place_errors(layers, fields, division_ulp) if asked else {}
     places = {name: np.where(front != back, errors[name], 0.0) for name in asked}
     found = []
     for k in range(3):
@@ -209,7 +211,9 @@ def _field_bounds(
     return tuple(found)
 
 
-def _place_errors(layers: Layers, division_ulp: float) -> dict[str, Float[np.ndarray, "h w"]]:
+def _place_errors(
+    layers: Layers, fields: dict[str, AnyArray], division_ulp: float
+) -> dict[str, Float[np.ndarray, "h w"]]:
     """How far the two sides' places on the ray and heights may be apart (see the module)."""
     view = layers.view
     assert view is not None  # else there were no such fields
@@ -225,21 +229,27 @@ def _place_errors(layers: Layers, division_ulp: float) -> dict[str, Float[np.nda
     center = abs(float(view.depth) - reference)
     nearest = EPS * (radius * (of_m * d + 10 * m * d) / dd + 2 * center)
     of_squared = EPS * ((2 * m * of_m + 12 * (m * d) ** 2) / dd + 6 * squared)
-    at = fields_of(layers, PLACES)
+    at = {name: np.abs(np.asarray(field, np.float64)) for name, field in fields.items()}
     found = {}
     begin, until = layers.shadow_front, layers.shadow_back
     depths = {"begin": layers.front, "end": layers.back}
     if begin is not None and until is not None:
         depths |= {"dark_begin": begin, "dark_end": until}
-    for name, depth in depths.items():
+    for name in depths.keys() & at.keys():
+        depth = depths[name]
         inside = np.clip(np.asarray(depth), layers.front, layers.back)
         off = division_ulp * np.spacing(np.abs(inside))
-        found[name] = slant * (off + nearest) + 8 * EPS * np.abs(np.asarray(at[name]))
-    height = np.abs(np.asarray(at["altitude"]))
+        found[name] = slant * (off + nearest) + 8 * EPS * at[name]
+    height = (impact - 1) * radius
     by_root = np.minimum(of_squared / np.maximum(2 * impact, 1e-30), np.sqrt(of_squared))
-    found["altitude"] = radius * of_squared / (impact + 1) + 10 * EPS * height
+    found["altitude"] = radius * of_squared / (impact + 1) + 10 * EPS * np.abs(height)
     found["impact"] = radius * (by_root + EPS * impact)
-    found["per_length"] = 6 * EPS * np.abs(np.asarray(at["per_length"]))
+    unit = float(layers.width_unit)
+    found["per_length"] = 6 * EPS / unit / (1 if layers.stretch is not None else slant)
+    of_point = of_m + 6 * m + (of_m * d + 16 * m * d) / slant
+    found["sunward"] = EPS * radius * of_point
+    found["sun_cos"] = np.full(slant.shape, 8 * EPS)
+    found["shell"] = np.full(slant.shape, 2 * EPS * radius * float(view.shell - 1))
     return found
 
 

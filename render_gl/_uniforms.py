@@ -6,6 +6,10 @@ import numpy as np
 
 from model_jax import Camera, Encoding, Look, Scene, Sun, depth_constants, eye_center
 from model_jax._column import DEEPEST, NODES, REACH, SERIES_DEPTH, SHARES, STEEPEST
+from model_jax._phase import NEAREST
+from model_jax._sunlight import ERFCX, ERFCX_RATE, HIGH_SUN, LOW_SUN, SUNK, WITHIN
+from model_jax._sunlight import NODES as SUN_NODES
+from model_jax._sunlight import SHARES as SUN_SHARES
 from model_jax._view import Aim, ShadowCone
 
 from ._depth_format import Storage
@@ -45,11 +49,19 @@ def uniforms_of(scene: Scene, encoding: Encoding) -> dict[str, Any]:
         "column_nodes": list(NODES),
         "column_shares": list(SHARES),
         "column_limits": (REACH, STEEPEST, DEEPEST, float(np.finfo(np.float32).tiny) ** 0.5),
+        "sun_nodes": list(SUN_NODES),
+        "sun_shares": list(SUN_SHARES),
+        "sun_within": [share for row in WITHIN for share in row],
+        "erfcx_factors": list(ERFCX),
+        "sun_limits": (ERFCX_RATE, LOW_SUN, HIGH_SUN, SUNK),
+        "phase_nearest": NEAREST,
         "series_depth": SERIES_DEPTH,
+        "shell_height": float(scene.atmosphere.height),
         "color": tuple(np.asarray(scene.atmosphere.color)),
         "planet_color": albedo if isinstance(albedo, tuple) else (0.0, 0.0, 0.0),
         "relief_scale": relief_scale(scene),
         "sun": (0.0, 0.0, 0.0) if scene.sun is None else tuple(np.asarray(scene.sun.direction)),
+        "sun_in_view": (0.0, 0.0, 0.0) if scene.sun is None else tuple(basis @ scene.sun.direction),
         "sun_tangent": 0.0 if scene.sun is None else _tangent(scene.sun),
         "occluders": [(*np.asarray(o.center) / radius, o.radius / radius) for o in scene.occluders],
     }

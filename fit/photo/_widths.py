@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from model_jax import Layers
 from model_jax._analytic import trace
-from model_jax._fields import OF_RAYS, PLACES, fields_of, uses_shadow
+from model_jax._fields import OF_RAYS, OF_VIEW, fields_of, uses_shadow
 from model_jax._shapes import AnyArray
 from model_jax._view import pixel_slopes
 
@@ -39,7 +39,7 @@ def fields_at(
         return row
 
     # Only where they are asked for: programs of other looks stay as they are.
-    view = layers.view if any(name in PLACES for name in needs) else None
+    view = layers.view if any(name in OF_VIEW for name in needs) else None
     width = np.shape(layers.front)[1]
     shadows = [s for s in (layers.shadow_front, layers.shadow_back) if s is not None]
     shadows = shadows if uses_shadow(needs) else []

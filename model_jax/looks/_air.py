@@ -12,10 +12,12 @@ import jax.numpy as jnp
 
 from .._column import columns, lengths_to, mean_transmittance
 from .._errors import InputError
-from .._fields import PLACES, Fields
+from .._fields import OF_SUN, PLACES, Fields
 from .._look import Look, Separable, parameter
 from .._parameter import LENGTH, PER_UNIT, Shape
+from .._phase import henyey_greenstein, rayleigh
 from .._shapes import Scalar, Three
+from .._sunlight import sunlight_met
 
 
 def _scale_height(shape: Shape) -> Any:
@@ -56,6 +58,32 @@ def _parameters(term: str) -> dict[str, tuple[Any, Any]]:
             scale=100.0,
         )
         return {"top": (Scalar, about)}
+    if term == "phase":
+        aerosol = parameter(
+            "share of the scattered light that haze scatters, not molecules",
+            lower=0.0,
+            upper=1.0,
+            default=0.2,
+            of="sun_cos",
+        )
+        asymmetry = parameter(
+            "mean cosine of the angle by which haze turns light",
+            lower=-1.0,
+            upper=1.0,
+            default=0.76,
+            of="sun_cos",
+            source="Bruneton & Neyret, Precomputed Atmospheric Scattering, 2008",
+        )
+        return {"aerosol": (Scalar, aerosol), "asymmetry": (Scalar, asymmetry)}
+    if term == "upwelling":
+        about = parameter(
+            "light that comes from below under the sun in the zenith, as a share of sunlight",
+            lower=0.0,
+            default=0.2,
+            shape="either",
+            of="sunward",
+        )
+        return {"upwelling": (Scalar | Three, about)}
     about = parameter(
         "optical depth of a width unit of air, each channel",
         unit=PER_UNIT,
@@ -98,6 +126,9 @@ class AirLook(Look):
         "density-rgb": "the same, each channel with its own scale height",
         "top": "air ends below the shell's height",
         "saturation": "air dims its own light and what lies behind it",
+        "sun": "sunlight is dimmed on its way to the air, more the lower the sun",
+        "upwelling": "ground and clouds below throw light up into the air where the sun is up",
+        "phase": "light is scattered more into some directions than into others",
     }
 
     @classmethod
@@ -106,11 +137,21 @@ class AirLook(Look):
 
     def air(self, fields: Fields) -> tuple[Any, Any]:
         terms = type(self).NAME.split("+")[1:]
-        lit, dark = self._widths(fields, terms)
-        light = self.brightness * (fields.color * self.tint * (lit + self.shadow * dark))
+        if "sun" in terms:
+            whole, lit, dark, upward = self._sunlit(fields, terms)
+        else:
+            lit, dark = self._widths(fields, terms)
+            whole, upward = lit + dark, 0.0
+        if "phase" in terms:
+            haze = henyey_greenstein(fields.sun_cos, self.asymmetry)
+            lit = lit * ((1 - self.aerosol) * rayleigh(fields.sun_cos) + self.aerosol * haze)
+        sent = lit + self.shadow * dark
+        if "upwelling" in terms:
+            sent = sent + self.upwelling * upward
+        light = self.brightness * (fields.color * self.tint * sent)
         if "saturation" not in terms:
             return light, None
-        depth = self.extinction * jnp.maximum(lit + dark, 0)
+        depth = self.extinction * jnp.maximum(whole, 0)
         return light * mean_transmittance(depth), jnp.exp(-depth)
 
     def _widths(self, fields: Fields, terms: list[str]) -> tuple[Any, Any]:
@@ -118,20 +159,45 @@ class AirLook(Look):
         thins = any(name.startswith("density") for name in terms)
         if not thins and "top" not in terms:
             return fields.lit, fields.dark
-        begin, end, altitude, impact = fields.begin, fields.end, fields.altitude, fields.impact
-        dark = None if isinstance(fields.dark_end, float) else (fields.dark_begin, fields.dark_end)
-        if "top" in terms:
-            reach = lengths_to(self.top, altitude, impact)
-            begin, end = jnp.clip(begin, -reach, reach), jnp.clip(end, -reach, reach)
-            dark = dark and (jnp.clip(dark[0], begin, end), jnp.clip(dark[1], begin, end))
+        begin, end, dark = self._places(fields, terms)
         lit: Any
         shaded: Any
         if thins:
-            lit, shaded = columns((begin, end), dark, altitude, impact, self.scale_height)
+            given = (begin, end), dark, fields.altitude, fields.impact, self.scale_height
+            lit, shaded = columns(*given)
         else:
             shaded = 0.0 if dark is None else dark[1] - dark[0]
             lit = end - begin if dark is None else (end - dark[1]) + (dark[0] - begin)
         return lit * fields.per_length, shaded * fields.per_length
+
+    def _sunlit(self, fields: Fields, terms: list[str]) -> tuple[Any, Any, Any, Any]:
+        """Width, weighted by the density; and what of it sunlight reaches, what is dark, and what
+        ground below lights, each weighted by how much of its light gets out, too."""
+        begin, end, dark = self._places(fields, terms)
+        met = sunlight_met(
+            (begin, end),
+            dark,
+            fields.altitude,
+            fields.impact,
+            self.scale_height,
+            fields.sunward,
+            fields.sun_cos,
+            jnp.minimum(self.top, fields.shell) if "top" in terms else fields.shell,
+            self.extinction * fields.per_length,
+            dims="saturation" in terms,
+        )
+        whole = met.column * fields.per_length
+        return whole, whole * met.sunlit, whole * met.shaded, whole * met.upward
+
+    def _places(self, fields: Fields, terms: list[str]) -> tuple[Any, Any, Any]:
+        """Where on the ray air begins and ends, and the shadow in it, if there is one."""
+        begin, end = fields.begin, fields.end
+        dark = None if isinstance(fields.dark_end, float) else (fields.dark_begin, fields.dark_end)
+        if "top" in terms:
+            reach = lengths_to(self.top, fields.altitude, fields.impact)
+            begin, end = jnp.clip(begin, -reach, reach), jnp.clip(end, -reach, reach)
+            dark = dark and (jnp.clip(dark[0], begin, end), jnp.clip(dark[1], begin, end))
+        return begin, end, dark
 
 
 def _known(kind: type[Look], terms: Iterable[str]) -> list[str]:
@@ -144,6 +210,10 @@ def _known(kind: type[Look], terms: Iterable[str]) -> list[str]:
             )
     if {"density", "density-rgb"} <= set(found):
         raise InputError(f"look {kind.NAME}: density and density-rgb are one term; name one")
+    if "sun" in found and not {"density", "density-rgb"} & set(found):
+        raise InputError(f"look {kind.NAME}: sun is of air that thins out; add density")
+    if "upwelling" in found and "sun" not in found:
+        raise InputError(f"look {kind.NAME}: upwelling asks where the sun is up; add sun")
     return found
 
 
@@ -153,7 +223,12 @@ def _with_terms(terms: tuple[str, ...]) -> type[Look]:
     if not terms:
         return AirLook
     fields = {name: part for term in terms for name, part in _parameters(term).items()}
-    places = any(term != "saturation" for term in terms)
+    places = any(term not in ("saturation", "phase") for term in terms)
+    needs = PLACES if places else AirLook.NEEDS
+    if "sun" in terms:
+        needs = (*needs, *OF_SUN, "shell")
+    elif "phase" in terms:
+        needs = (*needs, "sun_cos")
     if places:
         fields["shadow"] = (Scalar | Three, _shadow("dark_end"))
     facts: dict[str, Any] = {
@@ -161,10 +236,10 @@ def _with_terms(terms: tuple[str, ...]) -> type[Look]:
         "__doc__": AirLook.__doc__,
         "__annotations__": {name: annotation for name, (annotation, _) in fields.items()},
         "NAME": "+".join((AirLook.NAME, *terms)),
-        "NEEDS": PLACES if places else AirLook.NEEDS,
+        "NEEDS": needs,
         "LINEAR_IN": (),
         "SEPARABLE": None,
-        "ROUNDINGS": (80.0, 28.0) if places else (16.0, 8.0),
+        "ROUNDINGS": (1200.0, 28.0) if "sun" in terms else (80.0, 28.0) if places else (16.0, 8.0),
     }
     name = "_".join((AirLook.__name__, *terms)).replace("-", "_")
     return type(name, (AirLook,), facts | {name: field for name, (_, field) in fields.items()})

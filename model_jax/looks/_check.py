@@ -158,6 +158,9 @@ def _places() -> dict[str, Float[np.ndarray, " n"]]:
         "altitude": impact - radius,
         "impact": impact,
         "per_length": np.full(len(low), 1e-3),
+        "sunward": np.cos(9 * low + 5 * high) * impact,
+        "sun_cos": np.sin(9 * low + 5 * high) * np.cos(7 * low),
+        "shell": np.full(len(low), top - radius),
     }
     return {name: part.astype(np.float32) for name, part in found.items()}
 

@@ -7,17 +7,24 @@ uniform float column_nodes[6];
 uniform float column_shares[6];
 uniform vec4 column_limits;  // reach, least and deepest scale heights, what divides at least
 
-// The density's integral between two distances from the ray's nearest point, on one side of it.
-float column(float near, float far, float altitude, float impact, float scale_height) {
+// How a piece rises between two distances from the ray's nearest point, on one side of it.
+void rise_of(float near, float far, float altitude, float impact, float scale_height, out float low,
+             out float height, out float begin, out float span) {
     float smallest = column_limits.w;
     float first = sqrt(impact * impact + near * near), last = sqrt(impact * impact + far * far);
-    float height = max(scale_height, column_limits.y * (first + impact));
-    float begin = near / sqrt(max(height * (first + impact), smallest));
+    height = max(scale_height, column_limits.y * (first + impact));
+    begin = near / sqrt(max(height * (first + impact), smallest));
     float end = far / sqrt(max(height * (last + impact), smallest));
     float beyond = (far - near) * ((far + near) / max(first + last, smallest)) / height;
-    float span = min(beyond / max(begin + end, smallest),
+    span = min(beyond / max(begin + end, smallest),
         column_limits.x / (sqrt(begin * begin + column_limits.x) + begin));
-    float total = 0.0;
+    low = altitude + near * (near / max(first + impact, smallest));
+}
+
+// The density's integral along it.
+float column(float near, float far, float altitude, float impact, float scale_height) {
+    float low, height, begin, span, smallest = column_limits.w, total = 0.0;
+    rise_of(near, far, altitude, impact, scale_height, low, height, begin, span);
     for (int k = 0; k < 6; k++) {
         float shift = column_nodes[k] * span;
         float t = begin + shift;
@@ -25,7 +32,6 @@ float column(float near, float far, float altitude, float impact, float scale_he
         total += column_shares[k] * exp(-shift * (t + begin)) * (impact + rise) /
             sqrt(max(2.0 * impact + rise, smallest));
     }
-    float low = altitude + near * (near / max(first + impact, smallest));
     return 2.0 * sqrt(height) * exp(min(-low / height, column_limits.z)) * span * total;
 }
 

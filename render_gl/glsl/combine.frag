@@ -8,6 +8,8 @@
 #include "fields.glsl"
 #include "depth_code.glsl"
 #include "column.glsl"
+#include "sunlight.glsl"
+#include "phase.glsl"
 
 // What the pixel's ray meets, as model_jax.FIELDS says.
 struct Fields {
@@ -45,6 +47,15 @@ struct Fields {
 #ifdef FIELD_PER_LENGTH
     float per_length;
 #endif
+#ifdef FIELD_SUNWARD
+    float sunward;
+#endif
+#ifdef FIELD_SUN_COS
+    float sun_cos;
+#endif
+#ifdef FIELD_SHELL
+    float shell;
+#endif
 };
 
 // vec3 air(Fields, inout float alpha, inout vec3 transmittance): light of the air; alpha comes as the
@@ -52,6 +63,12 @@ struct Fields {
 #include "look"
 
 uniform vec4 color;                   // the air's: linear rgb, and alpha
+#if defined(FIELD_SUNWARD) || defined(FIELD_SUN_COS)
+uniform vec3 sun_in_view;             // unit vector toward the sun, eye axes
+#endif
+#ifdef FIELD_SHELL
+uniform float shell_height;           // scene length units
+#endif
 #ifdef FIELD_PLANET
 uniform sampler2D ground_pass;            // pass 3: coverage in alpha
 #endif
@@ -155,6 +172,18 @@ void main() {
 #else
     fields.per_length = 1.0 / (width_unit * slant);
 #endif
+#endif
+#if defined(FIELD_SUNWARD) || defined(FIELD_SUN_COS)
+    float towards = dot(vec3(d, 1.0), sun_in_view);
+#endif
+#ifdef FIELD_SUNWARD
+    fields.sunward = (dot(m, sun_in_view.xy) - dot(m, d) / dd * towards) * length_unit;
+#endif
+#ifdef FIELD_SUN_COS
+    fields.sun_cos = towards / slant;
+#endif
+#ifdef FIELD_SHELL
+    fields.shell = shell_height;
 #endif
     float alpha = color.a;
     vec3 transmittance = vec3(1.0);

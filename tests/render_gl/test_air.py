@@ -23,6 +23,20 @@ VALUES: dict[str, dict[str, Any]] = {
     "density-rgb": {"scale_height": (4.0, 8.0, 16.0)},
     "top": {"top": 60.0},
     "saturation": {"extinction": (2.0, 5.0, 11.0)},
+    "phase": {"aerosol": 0.3, "asymmetry": 0.7},
+    "density+sun": {"scale_height": 8.0, "extinction": (2.0, 5.0, 11.0)},
+    "density-rgb+top+sun": {
+        "scale_height": (4.0, 8.0, 16.0),
+        "top": 60.0,
+        "extinction": (2.0, 5.0, 11.0),
+    },
+    "density+saturation+sun+upwelling+phase": {
+        "scale_height": 8.0,
+        "extinction": (20.0, 50.0, 110.0),
+        "upwelling": 0.3,
+        "aerosol": 0.4,
+        "asymmetry": -0.5,
+    },
     "density+top+saturation": {
         "scale_height": 8.0,
         "top": 60.0,

@@ -6,7 +6,16 @@ from importlib import resources
 import pytest
 
 import model_jax
-from model_jax import FIELDS, _analytic, _column, _intersect, _safe, _view
+from model_jax import (
+    FIELDS,
+    _analytic,
+    _column,
+    _intersect,
+    _phase,
+    _safe,
+    _sunlight,
+    _view,
+)
 from render_gl._shaders import DEFINES, shader_source
 
 FILES = sorted(
@@ -42,6 +51,13 @@ TWINS = {
     "column": _column.column,
     "pieces": _column.pieces,
     "mean_transmittance": _column.mean_transmittance,
+    "rise_of": _column.rise_of,
+    "erfcx": _sunlight.erfcx,
+    "outward": _sunlight._outward,
+    "sun_column": _sunlight.sun_column,
+    "sunlight_met": _sunlight.sunlight_met,
+    "rayleigh": _phase.rayleigh,
+    "henyey_greenstein": _phase.henyey_greenstein,
 }
 """Of functions whose twin is not public, or has another name."""
 

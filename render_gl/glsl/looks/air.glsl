@@ -15,6 +15,17 @@ uniform float top;
 #endif
 #ifdef TERM_SATURATION
 uniform vec3 extinction;  // optical depth of a width unit
+#else
+#ifdef TERM_SUN
+uniform vec3 extinction;
+#endif
+#endif
+#ifdef TERM_UPWELLING
+uniform vec3 upwelling;  // light from below under the sun in the zenith, as a share of sunlight
+#endif
+#ifdef TERM_PHASE
+uniform float aerosol;    // share of the scattered light that haze scatters
+uniform float asymmetry;  // mean cosine by which it turns light
 #endif
 
 vec3 air(Fields fields, inout float alpha, inout vec3 transmittance) {
@@ -35,6 +46,32 @@ vec3 air(Fields fields, inout float alpha, inout vec3 transmittance) {
     pieces(whole, shaded, cuts, in_shadow);
     lit = vec3(0.0);
     dark = vec3(0.0);
+#ifdef TERM_SUN
+    vec3 upward = vec3(0.0);
+    float top_of_air = fields.shell;
+#ifdef TERM_TOP
+    top_of_air = min(top, top_of_air);
+#endif
+    vec3 columns = vec3(0.0);
+    for (int c = 0; c < 3; c++) {
+        float optical = extinction[c] * fields.per_length, dimming = 0.0;
+        vec3 shares;
+#ifdef TERM_SATURATION
+        dimming = optical;
+#endif
+        sunlight_met(cuts, in_shadow, fields.altitude, fields.impact,
+#ifdef TERM_DENSITY_RGB
+            scale_height[c],
+#else
+            scale_height,
+#endif
+            fields.sunward, fields.sun_cos, top_of_air, optical, dimming, columns[c], shares);
+        columns[c] *= fields.per_length;
+        lit[c] = columns[c] * shares.x;
+        dark[c] = columns[c] * shares.y;
+        upward[c] = columns[c] * shares.z;
+    }
+#else
     for (int k = 0; k < PIECES; k++) {
         float one = abs(cuts[k]), other = abs(cuts[k + 1]);
         if (one == other) continue;
@@ -53,13 +90,26 @@ vec3 air(Fields fields, inout float alpha, inout vec3 transmittance) {
     lit *= fields.per_length;
     dark *= fields.per_length;
 #endif
+#endif
 #ifndef FIELD_IMPACT
     lit = vec3(fields.lit);
     dark = vec3(fields.dark);
 #endif
-    vec3 light = brightness * (fields.color * tint * (lit + shadow * dark));
+    vec3 width = lit + dark;
+#ifdef TERM_SUN
+    width = columns;
+#endif
+#ifdef TERM_PHASE
+    float haze = henyey_greenstein(fields.sun_cos, asymmetry);
+    lit *= (1.0 - aerosol) * rayleigh(fields.sun_cos) + aerosol * haze;
+#endif
+    vec3 sent = lit + shadow * dark;
+#ifdef TERM_UPWELLING
+    sent += upwelling * upward;
+#endif
+    vec3 light = brightness * (fields.color * tint * sent);
 #ifdef TERM_SATURATION
-    vec3 depth = extinction * max(lit + dark, 0.0);
+    vec3 depth = extinction * max(width, 0.0);
     transmittance = exp(-depth);
     light *= mean_transmittance(depth);
 #endif

@@ -1,0 +1,41 @@
+"""How light that air scatters is spread over directions: phase functions, 1 on average over all.
+
+Both are functions of the cosine of the angle by which light is turned, 1 where it goes on as it
+came: towards a camera that looks at the sun.
+
+Twins in `phase.glsl`.
+"""
+
+import jax.numpy as jnp
+
+from ._shapes import AnyArray
+
+NEAREST = 1e-6
+"""Least squared distance 1 + g² - 2 g cos, of which a power divides. At |g| ≤ 0.999 none is less;
+beyond that the peak is no narrower, so that it and its slopes are numbers."""
+
+
+def rayleigh(cos: AnyArray) -> AnyArray:
+    """Of what is small beside the wavelength: 3/4 (1 + cos²).
+
+    Source: Lord Rayleigh, "On the light from the sky, its polarization and colour", 1871.
+
+    Twin: `rayleigh` in `phase.glsl`.
+    """
+    return 0.75 * (1 + cos * cos)
+
+
+def henyey_greenstein(cos: AnyArray, asymmetry: AnyArray) -> AnyArray:
+    """Of haze: (1 - g²)/(1 + g² - 2 g cos)^1.5, whose mean cosine is the asymmetry g.
+
+    g above 0 sends light on as it came, below 0 back; at ±1 it is 0 everywhere but there.
+
+    Source: Henyey & Greenstein, "Diffuse radiation in the galaxy", 1941.
+
+    Twin: `henyey_greenstein` in `phase.glsl`.
+    """
+    # 1 + g² - 2 g cos as a sum, of which neither part cancels where g and cos are near 1 or -1.
+    size = jnp.abs(asymmetry)
+    turned = jnp.where(asymmetry < 0, 1 + cos, 1 - cos)
+    squared = jnp.maximum((1 - size) ** 2 + 2 * size * jnp.maximum(turned, 0), NEAREST)
+    return (1 - size) * (1 + size) / (squared * jnp.sqrt(squared))

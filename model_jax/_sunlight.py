@@ -1,0 +1,298 @@
+"""Sunlight on its way through air that thins out exponentially, and how much of it a ray meets.
+
+Above a point at the distance r from the planet's centre, towards which the sun's direction leads by
+m = r·sin(elevation), a length v higher lies √(m² + 2 r v + v²) - m along the sun's ray. With
+v² ≈ v·v̄ under the root, v̄ the mean height at which that counts, the column up to the top is
+
+    √(a H) (ρ E(m/√(a H)) - ρ_top E(√(m²/(a H) + (top - h)/H))),   a = 2 r + v̄,
+
+E(t) = ∫ exp(t² - y²) dy from t to ∞. Where the sun is below the horizontal, it is twice the column
+above the sun's ray's lowest point less that in the other direction. Nothing overflows or cancels;
+where air is uniform v̄ is its whole height, and the chord exact.
+
+A ray's light is the mean of what its points send, weighted by their density and, if it is dimmed on
+its way to the camera, by how much of it gets there, at more nodes of the same kind as a column's.
+Weights add up to 1: light that is the same everywhere stays what it is, however dark the air.
+
+Twins in `sunlight.glsl`.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.custom_derivatives import SymbolicZero
+
+from ._column import over, pieces, rise_of
+from ._safe import safe_sqrt
+from ._shapes import AnyArray
+
+_X, _W = np.polynomial.legendre.leggauss(8)
+NODES = tuple(((1 + x) / 2).item() for x in _X)
+SHARES = tuple((w / 2).item() for w in _W)
+"""Where along a piece, 0 to 1, and what counts for how much: with six, light that comes through
+dark air beside the terminator was wrong by a tenth, with eight by less than a hundredth."""
+
+WITHIN = tuple(
+    tuple(row)
+    for row in np.linalg.solve(
+        np.vander(NODES, increasing=True).T,
+        (np.vander(NODES, len(NODES) + 1, increasing=True)[:, 1:] / np.arange(1, 9)).T,
+    ).T.tolist()
+)
+"""Of the integral from 0 to each node, what the value at each node counts for: exact for
+polynomials of the seventh degree."""
+
+ERFCX_RATE = 0.46
+ERFCX = (0.23, 0.22967748, 0.21231912, 0.11357556, 0.21139873, -0.11074118)
+"""E(t) = Σ c_k w^(k+1) with w = 1/(1 + rate·t): least squares, reweighted until the largest
+relative error is least, 2.1e-5; c_0 gives 1/(2 t) at large t."""
+
+LOW_SUN = 1.5
+HIGH_SUN = 2.0
+"""v̄ in scale heights where the sun is at the horizon, and in the zenith, in endless air: the first
+terms beyond √(π r H/2) and H in the columns that are known there (x e^x K₁(x), and 1)."""
+
+SUNK = 30.0
+"""Scale heights below the mean radius beyond which no ray meets denser air: nothing is left of the
+sun's, and squares of its exponential exist in float32."""
+
+_FEW = 3
+"""Arguments by which slopes are numbers of the pixel (see `_met_jvp`)."""
+
+
+class Met(NamedTuple):
+    """What a ray meets, as its arguments broadcast."""
+
+    column: AnyArray
+    """As `_column.columns`, lit and dark."""
+    sunlit: AnyArray
+    """Mean share of sunlight that reaches its points, 0 in shadow."""
+    shaded: AnyArray
+    """Share of the light that comes from shadow, if all of the air sends the same."""
+    upward: AnyArray
+    """Mean sine of the sun's elevation, 0 where the sun is below the horizontal."""
+
+
+def sun_column(
+    sunward: AnyArray,
+    distance: AnyArray,
+    height: AnyArray,
+    density: AnyArray,
+    top: AnyArray,
+    scale_height: AnyArray,
+) -> AnyArray:
+    """Column of air, ∫ exp(-h/H) dl, between points and the sun; lengths in any one unit.
+
+    Args:
+        sunward: m, how far the point lies towards the sun from the planet's centre, |m| ≤ distance.
+        distance: r, from the planet's centre.
+        height: h = r - R.
+        density: exp(-h/H).
+        top: height at which the air ends; a point above it counts as there.
+        scale_height: H.
+
+    Largest error of what passes, exp(-extinction · column): 1e-3 where H ≤ R/20, 0.5 % where H ≤ R.
+
+    Twin: `sun_column` in `sunlight.glsl`.
+    """
+    at_top = jnp.exp(-top / scale_height)
+    above = _outward(jnp.abs(sunward), distance, height, density, at_top, top, scale_height)
+    lowest = safe_sqrt((distance - sunward) * (distance + sunward))
+    low = height - sunward * over(sunward, distance + lowest)
+    least = jnp.exp(jnp.minimum(-low / scale_height, SUNK))
+    through = _outward(0 * sunward, lowest, low, least, at_top, top, scale_height)
+    return jnp.where(sunward < 0, jnp.maximum(2 * through - above, 0), above)
+
+
+def _outward(
+    sunward: AnyArray,
+    distance: AnyArray,
+    height: AnyArray,
+    density: AnyArray,
+    at_top: AnyArray,
+    top: AnyArray,
+    scale_height: AnyArray,
+) -> AnyArray:
+    """The column of a way that only rises, sunward ≥ 0.
+
+    Twin: `outward` in `sunlight.glsl`.
+    """
+    steep = over(sunward * sunward, 2 * distance * scale_height)
+    mean = LOW_SUN + (HIGH_SUN - LOW_SUN) * steep / (1 + steep)
+    room = jnp.maximum(top - height, 0) / scale_height
+    # (1 + x/8)^-8 in place of exp(-x), which it is near where that matters.
+    left = 1 / (1 + room / (8 * mean))
+    for _ in range(3):
+        left = left * left
+    width = 2 * distance + mean * scale_height * (1 - left)
+    size = safe_sqrt(width * scale_height)
+    begin = over(sunward, size)
+    end = safe_sqrt(begin * begin + room)
+    return size * jnp.maximum(density * erfcx(begin) - at_top * erfcx(end), 0)
+
+
+def erfcx(t: AnyArray) -> AnyArray:
+    """√π/2 · exp(t²) erfc(t) for t ≥ 0.
+
+    Twin: `erfcx` in `sunlight.glsl`.
+    """
+    w = 1 / (1 + ERFCX_RATE * t)
+    found: AnyArray = jnp.full_like(t, ERFCX[-1])
+    for factor in ERFCX[-2::-1]:
+        found = factor + w * found
+    return w * found
+
+
+def sunlight_met(
+    air: tuple[AnyArray, AnyArray],
+    dark: tuple[AnyArray, AnyArray] | None,
+    altitude: AnyArray,
+    impact: AnyArray,
+    scale_height: AnyArray,
+    sunward: AnyArray,
+    sun_cos: AnyArray,
+    top: AnyArray,
+    extinction: AnyArray,
+    *,
+    dims: bool,
+) -> Met:
+    """What of the sun's light a ray meets on its way through the air.
+
+    Args:
+        air, dark, altitude, impact, scale_height: as of `_column.columns`.
+        sunward: how far the ray's nearest point lies towards the sun from the planet's centre.
+        sun_cos: cosine of the angle between the ray and the direction to the sun.
+        top: height at which the air ends on the sun's side.
+        extinction: optical depth of a unit of length of air as dense as at the radius.
+        dims: light is dimmed by the same on its way to the camera.
+
+    Against a march (float64, H from R/800 to R/50, optical depths of the longest way up to 40):
+    99 % of rays within 0.1 % of their light without the sun's way, all within 0.4 %.
+
+    Twin: `sunlight_met` in `sunlight.glsl`.
+    """
+    near, far, shade, before = (jnp.stack(part) for part in zip(*pieces(air, dark), strict=True))
+    given = (altitude, impact, scale_height, sunward, sun_cos, top, extinction)
+    return Met(*_met(dims, near, far, shade, before, *map(jnp.asarray, given)))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _met(dims: bool, *given: jax.Array) -> tuple[AnyArray, ...]:
+    return _walk(dims, *given)
+
+
+@partial(_met.defjvp, symbolic_zeros=True)
+def _met_jvp(dims: bool, given: Any, tangents: Any) -> Any:
+    """Where few arguments move, as in a fit, slopes by them are numbers of the pixel: however many
+    parameters push it, its nodes are visited once."""
+    walk = partial(_walk, dims)
+    moved = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
+    if len(moved) > _FEW:
+        filled = [
+            jnp.zeros_like(part) if isinstance(tangent, SymbolicZero) else tangent
+            for part, tangent in zip(given, tangents, strict=True)
+        ]
+        return jax.jvp(walk, given, tuple(filled))
+
+    def pushed(*ones: jax.Array) -> Any:
+        def at(*some: jax.Array) -> Any:
+            every = list(given)
+            for k, part in zip(moved, some, strict=True):
+                every[k] = part
+            return walk(*every)
+
+        return jax.jvp(at, tuple(given[k] for k in moved), ones)
+
+    along = [
+        jnp.stack([jnp.full_like(given[k], float(k == other)) for other in moved]) for k in moved
+    ]
+    found, slopes = jax.vmap(pushed, out_axes=(None, 0))(*along)
+    changes = []
+    for part, slope in zip(found, slopes, strict=True):
+        change = jnp.zeros_like(part)
+        for n, k in enumerate(moved):
+            # What is the same in all channels hangs on nothing that is not.
+            if jnp.broadcast_shapes(part.shape, tangents[k].shape) == part.shape:
+                change = change + slope[n] * tangents[k]
+        changes.append(change)
+    return found, tuple(changes)
+
+
+def _walk(  # long: what a piece's nodes make is of use to each other only
+    dims: bool,
+    near: jax.Array,
+    far: jax.Array,
+    shade: jax.Array,
+    before: jax.Array,
+    altitude: jax.Array,
+    impact: jax.Array,
+    scale_height: jax.Array,
+    sunward: jax.Array,
+    sun_cos: jax.Array,
+    top: jax.Array,
+    extinction: jax.Array,
+) -> tuple[AnyArray, ...]:
+    """Piece by piece from the camera, as `Met`."""
+    dtype = jnp.result_type(near, extinction)
+    rank = (-1,) + (1,) * (near.ndim - 1)
+    nodes, shares = (jnp.asarray(part, dtype).reshape(rank) for part in (NODES, SHARES))
+
+    def walked(carried: Any, piece: Any) -> Any:
+        near, far, shade, before = piece
+        depth, offset, column, weight, sunlit, shaded, upward = carried
+        way = rise_of(near, far, altitude, impact, scale_height)
+        densest = jnp.exp(jnp.minimum(-way.low / way.height, SUNK))
+        # At the nodes: the first axis from here on.
+        low, height, dense, length = (
+            part[None] for part in (way.low, way.height, densest, way.length)
+        )
+        step = nodes * length
+        t = way.begin[None] + step
+        fall = step * (t + way.begin[None])
+        above, thin = height * t * t, jnp.exp(-fall)
+        distance = impact[None] + above
+        long = safe_sqrt(impact[None] + distance)
+        parts = 2 * safe_sqrt(height) * dense * length * thin * over(distance, long)
+        along = safe_sqrt(height) * t * long
+        sun = sunward[None] + jnp.where(before[None] > 0, -along, along) * sun_cos[None]
+        sun = jnp.clip(sun, -distance, distance)
+        here = low + height * fall
+        to_sun = sun_column(sun, distance, here, dense * thin, top[None], height)
+        passed = jnp.exp(-extinction[None] * to_sun)
+        elevation = over(jnp.maximum(sun, 0), distance)
+        whole = (shares * parts).sum(0)
+        sent = shares * parts
+        if dims:
+            inner = jnp.tensordot(jnp.asarray(WITHIN, dtype), parts, 1)
+            inner = jnp.where(before[None] > 0, whole[None] - inner, inner)
+            deep = depth[None] + extinction[None] * inner
+            # Of the light that gets out first: shares of it stay numbers, however dark the air.
+            first = jnp.where(before > 0, deep[-1], deep[0])
+            offset = jnp.where(weight > 0, offset, first)
+            sent = sent * jnp.exp(offset[None] - deep)
+            depth = depth + extinction * whole
+        return (
+            depth,
+            offset,
+            column + whole,
+            weight + sent.sum(0),
+            sunlit + (1 - shade) * (sent * passed).sum(0),
+            shaded + shade * sent.sum(0),
+            upward + (sent * elevation).sum(0),
+        )
+
+    def if_any(carried: Any, piece: Any) -> Any:
+        near, far = piece[:2]
+        moved = jnp.any(near != far)
+        return jax.lax.cond(moved, lambda: walked(carried, piece), lambda: carried), None
+
+    one = jnp.broadcast_shapes(near.shape[1:], scale_height.shape)
+    three = jnp.broadcast_shapes(one, extinction.shape)
+    each = three if dims else one
+    begun = [jnp.zeros(shape, dtype) for shape in (each, each, one, each, three, each, each)]
+    carried, _ = jax.lax.scan(if_any, tuple(begun), (near, far, shade, before))
+    _, _, column, weight, sunlit, shaded, upward = carried
+    return column, over(sunlit, weight), over(shaded, weight), over(upward, weight)
