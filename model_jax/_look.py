@@ -134,6 +134,8 @@ class Look(eqx.Module):
     differ in the others only."""
     TERMS: ClassVar[dict[str, str]] = {}
     """What may be added to it (`with_terms`), by name, and what that does."""
+    TERM_NEEDS: ClassVar[dict[str, tuple[str, ...]]] = {}
+    """Terms without which one cannot be, by its name."""
     GLSL: ClassVar[str | None] = None
     """Text of its twin; None: the file NAME.glsl beside the module."""
 
@@ -238,7 +240,7 @@ _TAKEN = {
     *RESPONSE_PARAMETERS,
     # What a look has itself.
     *("background", "air", "NAME", "PARAMETERS", "NEEDS", "LINEAR_IN", "ROUNDINGS", "BLEND"),
-    *("SEPARABLE", "AMPLITUDE", "GLSL", "TERMS", "with_terms"),
+    *("SEPARABLE", "AMPLITUDE", "GLSL", "TERMS", "TERM_NEEDS", "with_terms"),
     # Keys of scene files and exports.
     *("kind", "look", "verdict", "warnings", "color", "width_unit"),
     *("atmosphere_path", "atmosphere_height", "planet_radius"),

@@ -59,9 +59,6 @@ SUNK = 30.0
 """Scale heights below the mean radius beyond which no ray meets denser air: nothing is left of the
 sun's, and squares of its exponential exist in float32."""
 
-_FEW = 3
-"""Arguments by which slopes are numbers of the pixel (see `_met_jvp`)."""
-
 
 class Met(NamedTuple):
     """What a ray meets, as its arguments broadcast."""
@@ -100,11 +97,15 @@ def sun_column(
     """
     at_top = jnp.exp(-top / scale_height)
     above = _outward(jnp.abs(sunward), distance, height, density, at_top, top, scale_height)
-    lowest = safe_sqrt((distance - sunward) * (distance + sunward))
-    low = height - sunward * over(sunward, distance + lowest)
-    least = jnp.exp(jnp.minimum(-low / scale_height, SUNK))
-    through = _outward(0 * sunward, lowest, low, least, at_top, top, scale_height)
-    return jnp.where(sunward < 0, jnp.maximum(2 * through - above, 0), above)
+
+    def below() -> AnyArray:
+        lowest = safe_sqrt((distance - sunward) * (distance + sunward))
+        low = height - sunward * over(sunward, distance + lowest)
+        least = jnp.exp(jnp.minimum(-low / scale_height, SUNK))
+        through = _outward(0 * sunward, lowest, low, least, at_top, top, scale_height)
+        return jnp.where(sunward < 0, jnp.maximum(2 * through - above, 0), above)
+
+    return jax.lax.cond(jnp.any(sunward < 0), below, lambda: above)
 
 
 def _outward(
@@ -174,54 +175,84 @@ def sunlight_met(
 
     Twin: `sunlight_met` in `sunlight.glsl`.
     """
-    near, far, shade, before = (jnp.stack(part) for part in zip(*pieces(air, dark), strict=True))
+    each = (jnp.stack(part) for part in zip(*pieces(air, dark), strict=True))
     given = (altitude, impact, scale_height, sunward, sun_cos, top, extinction)
-    return Met(*_met(dims, near, far, shade, before, *map(jnp.asarray, given)))
+    # Channels first: loops over three numbers are slow, over pixels they are not.
+    first = [jnp.moveaxis(part, -1, 1) for part in each]
+    first += [jnp.moveaxis(jnp.asarray(part), -1, 0) for part in given]
+    return Met(*(jnp.moveaxis(part, 0, -1) for part in _met(dims, *first)))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _met(dims: bool, *given: jax.Array) -> tuple[AnyArray, ...]:
-    return _walk(dims, *given)
+    """`Met`, channels first, of the pieces' `_walk`."""
+    return _walk(dims, *given)[0]
 
 
 @partial(_met.defjvp, symbolic_zeros=True)
 def _met_jvp(dims: bool, given: Any, tangents: Any) -> Any:
-    """Where few arguments move, as in a fit, slopes by them are numbers of the pixel: however many
-    parameters push it, its nodes are visited once."""
-    walk = partial(_walk, dims)
-    moved = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
-    if len(moved) > _FEW:
+    """Where only the air's own numbers move, as in a fit, slopes by them are numbers of the pixel:
+    however many parameters push it, its nodes are visited once."""
+    *places, scale_height, sunward, sun_cos, top, extinction = tangents
+    if not all(isinstance(part, SymbolicZero) for part in (*places, sunward, sun_cos, top)):
         filled = [
             jnp.zeros_like(part) if isinstance(tangent, SymbolicZero) else tangent
             for part, tangent in zip(given, tangents, strict=True)
         ]
-        return jax.jvp(walk, given, tuple(filled))
-
-    def pushed(*ones: jax.Array) -> Any:
-        def at(*some: jax.Array) -> Any:
-            every = list(given)
-            for k, part in zip(moved, some, strict=True):
-                every[k] = part
-            return walk(*every)
-
-        return jax.jvp(at, tuple(given[k] for k in moved), ones)
-
-    along = [
-        jnp.stack([jnp.full_like(given[k], float(k == other)) for other in moved]) for k in moved
-    ]
-    found, slopes = jax.vmap(pushed, out_axes=(None, 0))(*along)
-    changes = []
-    for part, slope in zip(found, slopes, strict=True):
-        change = jnp.zeros_like(part)
-        for n, k in enumerate(moved):
-            # What is the same in all channels hangs on nothing that is not.
-            if jnp.broadcast_shapes(part.shape, tangents[k].shape) == part.shape:
-                change = change + slope[n] * tangents[k]
-        changes.append(change)
+        return jax.jvp(lambda *all_of: _walk(dims, *all_of)[0], given, tuple(filled))
+    found, by_height, by_extinction = _walk(dims, *given, slopes=True)
+    changes = [jnp.zeros_like(part) for part in found]
+    for tangent, slopes in ((scale_height, by_height), (extinction, by_extinction)):
+        if not isinstance(tangent, SymbolicZero):
+            for k, slope in enumerate(slopes):
+                changes[k] = changes[k] if slope is None else changes[k] + slope * tangent
     return found, tuple(changes)
 
 
-def _walk(  # long: what a piece's nodes make is of use to each other only
+class _Nodes(NamedTuple):
+    """Of a piece, at its nodes, which are the first axis; or what moves there with H."""
+
+    parts: AnyArray
+    """Column that each stands for, if it stood for all of the piece."""
+    to_sun: AnyArray
+    """Column to the sun."""
+    elevation: AnyArray
+    """Sine of the sun's elevation, 0 below the horizontal."""
+
+
+def _nodes_of(
+    scale_height: jax.Array,
+    piece: Any,
+    altitude: jax.Array,
+    impact: jax.Array,
+    sunward: jax.Array,
+    sun_cos: jax.Array,
+    top: jax.Array,
+) -> _Nodes:
+    near, far, _, before = piece
+    nodes = jnp.asarray(NODES, near.dtype).reshape((-1,) + (1,) * near.ndim)
+    way = rise_of(near, far, altitude, impact, scale_height)
+    densest = jnp.exp(jnp.minimum(-way.low / way.height, SUNK))
+    low, height, dense, length = (part[None] for part in (way.low, way.height, densest, way.length))
+    step = nodes * length
+    t = way.begin[None] + step
+    fall = step * (t + way.begin[None])
+    above, thin = height * t * t, jnp.exp(-fall)
+    distance = impact[None] + above
+    long = safe_sqrt(impact[None] + distance)
+    root = safe_sqrt(height)
+    along = root * t * long
+    sun = sunward[None] + jnp.where(before[None] > 0, -along, along) * sun_cos[None]
+    sun = jnp.clip(sun, -distance, distance)
+    here = low + height * fall
+    return _Nodes(
+        2 * root * dense * length * thin * over(distance, long),
+        sun_column(sun, distance, here, dense * thin, top[None], height),
+        over(jnp.maximum(sun, 0), distance),
+    )
+
+
+def _walk(  # long: sums of the light, and of what it moves by, over the same nodes
     dims: bool,
     near: jax.Array,
     far: jax.Array,
@@ -234,65 +265,99 @@ def _walk(  # long: what a piece's nodes make is of use to each other only
     sun_cos: jax.Array,
     top: jax.Array,
     extinction: jax.Array,
-) -> tuple[AnyArray, ...]:
-    """Piece by piece from the camera, as `Met`."""
+    *,
+    slopes: bool = False,
+) -> tuple[Any, Any, Any]:
+    """Piece by piece from the camera: `Met`, and if asked its slopes by scale height and
+    extinction, None where there is none."""
     dtype = jnp.result_type(near, extinction)
-    rank = (-1,) + (1,) * (near.ndim - 1)
-    nodes, shares = (jnp.asarray(part, dtype).reshape(rank) for part in (NODES, SHARES))
+    shares = jnp.asarray(SHARES, dtype).reshape((-1,) + (1,) * (near.ndim - 1))
+    within = jnp.asarray(WITHIN, dtype).reshape((-1, *shares.shape))
+    ext = extinction[None]
+
+    def at(height: jax.Array, piece: Any) -> _Nodes:
+        return _nodes_of(height, piece, altitude, impact, sunward, sun_cos, top)
+
+    def over_nodes(values: jax.Array) -> jax.Array:
+        # One by one: XLA's own sum over a first axis takes a number at a time.
+        return sum(values[k] for k in range(1, len(NODES))) + values[0]
+
+    def inner(parts: jax.Array, column: jax.Array, piece: Any) -> jax.Array:
+        """Column from the camera to each node."""
+        rows = jax.lax.optimization_barrier([over_nodes(row * parts) for row in within])
+        found = jax.lax.optimization_barrier(jnp.stack(rows))
+        whole = over_nodes(shares * parts)[None]
+        deep = column[None] + jnp.where(piece[3][None] > 0, whole - found, found)
+        return jax.lax.optimization_barrier(deep)
 
     def walked(carried: Any, piece: Any) -> Any:
-        near, far, shade, before = piece
-        depth, offset, column, weight, sunlit, shaded, upward = carried
-        way = rise_of(near, far, altitude, impact, scale_height)
-        densest = jnp.exp(jnp.minimum(-way.low / way.height, SUNK))
-        # At the nodes: the first axis from here on.
-        low, height, dense, length = (
-            part[None] for part in (way.low, way.height, densest, way.length)
-        )
-        step = nodes * length
-        t = way.begin[None] + step
-        fall = step * (t + way.begin[None])
-        above, thin = height * t * t, jnp.exp(-fall)
-        distance = impact[None] + above
-        long = safe_sqrt(impact[None] + distance)
-        parts = 2 * safe_sqrt(height) * dense * length * thin * over(distance, long)
-        along = safe_sqrt(height) * t * long
-        sun = sunward[None] + jnp.where(before[None] > 0, -along, along) * sun_cos[None]
-        sun = jnp.clip(sun, -distance, distance)
-        here = low + height * fall
-        to_sun = sun_column(sun, distance, here, dense * thin, top[None], height)
-        passed = jnp.exp(-extinction[None] * to_sun)
-        elevation = over(jnp.maximum(sun, 0), distance)
-        whole = (shares * parts).sum(0)
-        sent = shares * parts
+        column, offset, sums, moved_column, by_height, by_extinction = carried
+        lit, dark = 1 - piece[2], piece[2]
+        if slopes:
+            one = jnp.ones_like(scale_height)
+            here, moved = jax.jvp(lambda h: at(h, piece), (scale_height,), (one,))
+            # Else XLA makes all of it anew for each sum below.
+            here, moved = jax.lax.optimization_barrier((here, moved))
+        else:
+            here = jax.lax.optimization_barrier(at(scale_height, piece))
+        parts, to_sun, elevation = here
+        passed, sent = jnp.exp(-ext * to_sun), shares * parts
+        left: AnyArray | float = 1.0
+        deep = inner(parts, column, piece) if dims else jnp.zeros_like(parts)
         if dims:
-            inner = jnp.tensordot(jnp.asarray(WITHIN, dtype), parts, 1)
-            inner = jnp.where(before[None] > 0, whole[None] - inner, inner)
-            deep = depth[None] + extinction[None] * inner
             # Of the light that gets out first: shares of it stay numbers, however dark the air.
-            first = jnp.where(before > 0, deep[-1], deep[0])
-            offset = jnp.where(weight > 0, offset, first)
-            sent = sent * jnp.exp(offset[None] - deep)
-            depth = depth + extinction * whole
-        return (
-            depth,
-            offset,
-            column + whole,
-            weight + sent.sum(0),
-            sunlit + (1 - shade) * (sent * passed).sum(0),
-            shaded + shade * sent.sum(0),
-            upward + (sent * elevation).sum(0),
-        )
+            first = extinction * jnp.where(piece[3] > 0, deep[-1], deep[0])
+            offset = jnp.where(sums[0] > 0, offset, first)
+            left = jnp.exp(offset[None] - ext * deep)
+            sent = sent * left
+        left, sent, passed, deep = jax.lax.optimization_barrier((left, sent, passed, deep))
+        reached = sent * passed
+
+        def summed(sent: Any, reached: Any, upward: Any) -> tuple[Any, ...]:
+            total = over_nodes(sent)
+            return total, lit * over_nodes(reached), dark * total, over_nodes(upward)
+
+        def added(before: Any, more: Any) -> tuple[Any, ...]:
+            return tuple(a + b for a, b in zip(before, more, strict=True))
+
+        if slopes:
+            change = shares * moved.parts * left
+            if dims:
+                change = change - ext * inner(moved.parts, moved_column, piece) * sent
+            less = change * passed - ext * moved.to_sun * reached
+            up = change * elevation + sent * moved.elevation
+            by_height = added(by_height, summed(change, less, up))
+            by_extinction = added(
+                by_extinction,
+                summed(-deep * sent, -(deep + to_sun) * reached, -deep * sent * elevation),
+            )
+            moved_column = moved_column + over_nodes(shares * moved.parts)
+        sums = added(sums, summed(sent, reached, sent * elevation))
+        column = column + over_nodes(shares * parts)
+        return column, offset, sums, moved_column, by_height, by_extinction
 
     def if_any(carried: Any, piece: Any) -> Any:
-        near, far = piece[:2]
-        moved = jnp.any(near != far)
+        moved = jnp.any(piece[0] != piece[1])
         return jax.lax.cond(moved, lambda: walked(carried, piece), lambda: carried), None
 
     one = jnp.broadcast_shapes(near.shape[1:], scale_height.shape)
     three = jnp.broadcast_shapes(one, extinction.shape)
     each = three if dims else one
-    begun = [jnp.zeros(shape, dtype) for shape in (each, each, one, each, three, each, each)]
-    carried, _ = jax.lax.scan(if_any, tuple(begun), (near, far, shade, before))
-    _, _, column, weight, sunlit, shaded, upward = carried
-    return column, over(sunlit, weight), over(shaded, weight), over(upward, weight)
+    nothing = jnp.zeros(one, dtype)
+    none = tuple(jnp.zeros(shape, dtype) for shape in (each, three, each, each))
+    begun = (nothing, jnp.zeros(each, dtype), none, nothing, none, none)
+    ended, _ = jax.lax.scan(if_any, begun, (near, far, shade, before))
+    column, _, (weight, *light), moved_column, by_height, by_extinction = ended
+    found = [over(part, weight) for part in light]
+
+    def quotients(by: Any) -> list[Any]:
+        return [over(b - f * by[0], weight) for b, f in zip(by[1:], found, strict=True)]
+
+    of_extinction = quotients(by_extinction)
+    if not dims:
+        of_extinction[1:] = [None, None]
+    return (
+        (column, *found),
+        (moved_column, *quotients(by_height)),
+        (None, *of_extinction),
+    )

@@ -139,6 +139,41 @@ def test_reduced_march_gives_its_scale_height_back(
     )
 
 
+def test_sunlit_air_is_the_march_of_one_constituent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Molecules alone, light scattered once, a black ground and a sun that is a point: every pixel
+    within 1 % of the brightest, from the limb below the sun across the terminator; without the
+    sun's way some are wrong by more than all of it."""
+    march = example("march_reference")
+    monkeypatch.setattr(march, "AEROSOL_SCATTERING", 0.0)
+    monkeypatch.setattr(march, "AEROSOL_EXTINCTION", 0.0)
+    monkeypatch.setattr(march, "OZONE_ABSORPTION", np.zeros(3))
+    monkeypatch.setattr(march, "SCATTERING_ORDERS", 1)
+    monkeypatch.setattr(march, "GROUND_ALBEDO", 0.0)
+    parsed = tomllib.loads((EXAMPLES / "reference.toml").read_text())
+    parsed["sun"]["angular_radius_deg"] = 0.0
+    light = march.march(parsed, 120, 90, 96)
+    scene = render_gl.load_scene(EXAMPLES / "reference.toml").scene.resized(120, 90)
+    air = replace(
+        scene.atmosphere, height=march.AIR_TOP, path="distance", color=(1.0, 1.0, 1.0, 1.0)
+    )
+    assert scene.sun is not None
+    sun = replace(scene.sun, angular_radius_deg=0.0)
+    layers = analytic_layers(replace(scene, atmosphere=air, sun=sun))
+    depth = march.RAYLEIGH_SCATTERING * float(layers.width_unit)
+    values = {
+        "scale_height": march.RAYLEIGH_SCALE_HEIGHT,
+        "extinction": depth,
+        "brightness": float(depth.mean()) / (4 * np.pi),
+        "tint": depth / depth.mean(),
+        "shadow": 0.0,
+        "aerosol": 0.0,
+    }
+    for terms, holds in (("density+saturation+sun+phase", True), ("density+saturation+phase", 0)):
+        drawn = np.asarray(combine(layers, find_look(f"air+{terms}")(**values)))[..., :3]
+        error = np.abs(drawn - light).max() / light.max()
+        assert error < 0.01 if holds else error > 1, error
+
+
 def test_epic_disc_lies_on_the_photos_limb(data_dir: Path) -> None:
     scenes = example("make_photo_scenes")
     photo = data_dir / scenes.EPIC_PHOTO

@@ -225,6 +225,7 @@ GEOMETRY = {
     *(f"render_gl/_{n}.py" for n in ("draw", "frame", "layers_file", "mesh", "parity", "raster")),
     *(f"render_gl/_{name}.py" for name in ("render", "scene_file", "shaders", "uniforms")),
     "model_jax/_column.py",
+    "model_jax/_sunlight.py",
     "model_jax/looks/_check.py",  # sample rays
     "render_gl/glsl/column.glsl",
     *(f"render_gl/glsl/{n}" for n in ("combine.frag", "depth.frag", "fields.glsl", "rays.glsl")),

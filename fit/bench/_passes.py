@@ -42,6 +42,9 @@ def look_rows(
     """
     thin = find_look("air+density")(scale_height=_HEIGHT)
     dim = find_look("air+density+saturation")(scale_height=_HEIGHT)
+    sunlit = find_look("air+density+saturation+sun")(scale_height=_HEIGHT)
+    terms = [name for name in find_look("air").TERMS if name != "density-rgb"]
+    every = find_look("+".join(("air", *terms)))(scale_height=_HEIGHT, top=10 * _HEIGHT)
     by_pixel = program(pixel_gram)
     cases: list[tuple[str, Look, float | None, Any]] = [
         ("a pass of layers, by sums", find_look("layers")(), None, exact_gram),
@@ -49,6 +52,8 @@ def look_rows(
         ("a pass of air+density", thin, None, by_pixel),
         ("a pass of air+density+saturation", dim, None, by_pixel),
         ("a pass of air+density+saturation+blur", dim, 1.0, by_pixel),
+        ("a pass of air+density+saturation+sun", sunlit, None, by_pixel),
+        ("a pass of air with every term", every, None, by_pixel),
     ]
     rows, uniform = [], None
     for name, look, blur, run in cases:

@@ -38,11 +38,13 @@ def _look(kind: type[Look]) -> dict[str, Any]:
 
 def _term(kind: type[Look], term: str) -> dict[str, Any]:
     """What a term does, and the parameters that it brings."""
-    added = kind.with_terms([term]).PARAMETERS
+    needs = kind.TERM_NEEDS.get(term, ())
+    known, added = (kind.with_terms(names).PARAMETERS for names in (needs, [*needs, term]))
     return {
         "meaning": kind.TERMS[term],
+        "needs": list(needs),
         "parameters": {
-            name: _parameter(about) for name, about in added.items() if name not in kind.PARAMETERS
+            name: _parameter(about) for name, about in added.items() if name not in known
         },
     }
 
@@ -59,6 +61,10 @@ def _parameter(about: Parameter) -> dict[str, Any]:
         "of": about.of,
         "source": about.source,
     }
+
+
+def _with(needs: list[str]) -> str:
+    return f" (with {', '.join(needs)})" if needs else ""
 
 
 def _finite(bound: float) -> float | None:
@@ -94,7 +100,7 @@ def _block(name: str, look: dict[str, Any]) -> str:
         line
         for term, about in look["terms"].items()
         for line in (
-            f"  +{term}: {about['meaning']}",
+            f"  +{term}{_with(about['needs'])}: {about['meaning']}",
             *(
                 "    " + "  ".join(cell for cell in _row(key, more) if cell)
                 for key, more in about["parameters"].items()

@@ -130,6 +130,10 @@ class AirLook(Look):
         "upwelling": "ground and clouds below throw light up into the air where the sun is up",
         "phase": "light is scattered more into some directions than into others",
     }
+    TERM_NEEDS: ClassVar[dict[str, tuple[str, ...]]] = {
+        "sun": ("density",),
+        "upwelling": ("density", "sun"),
+    }
 
     @classmethod
     def with_terms(cls, terms: Iterable[str]) -> type[Look]:
@@ -210,10 +214,13 @@ def _known(kind: type[Look], terms: Iterable[str]) -> list[str]:
             )
     if {"density", "density-rgb"} <= set(found):
         raise InputError(f"look {kind.NAME}: density and density-rgb are one term; name one")
-    if "sun" in found and not {"density", "density-rgb"} & set(found):
-        raise InputError(f"look {kind.NAME}: sun is of air that thins out; add density")
-    if "upwelling" in found and "sun" not in found:
-        raise InputError(f"look {kind.NAME}: upwelling asks where the sun is up; add sun")
+    there = {"density" if name == "density-rgb" else name for name in found}
+    for name in found:
+        missing = [other for other in kind.TERM_NEEDS.get(name, ()) if other not in there]
+        if missing:
+            raise InputError(
+                f"look {kind.NAME}: term {name} goes with {' and '.join(missing)}; add it"
+            )
     return found
 
 

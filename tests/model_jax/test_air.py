@@ -24,7 +24,17 @@ from model_jax.looks._check import check_look
 
 from .scenes import RADIUS, scene_of
 
-TERMS = ["density", "density-rgb", "top", "saturation", "density+top+saturation", "top+saturation"]
+TERMS = [
+    "density",
+    "density-rgb",
+    "top",
+    "saturation",
+    "density+top+saturation",
+    "top+saturation",
+    "phase",
+    "density+sun",
+    "density-rgb+top+saturation+sun+upwelling+phase",
+]
 
 
 def look(terms: str = "", **values: Any) -> Look:
@@ -132,9 +142,11 @@ def test_a_set_of_terms_is_a_look(terms: str) -> None:
     assert find_look("air+" + "+".join(reversed(terms.split("+")))) is kind
     again = pickle.loads(pickle.dumps(kind()))
     assert type(again) is kind
-    own = {name for term in terms.split("+") for name in find_look(f"air+{term}").PARAMETERS}
-    assert set(kind.PARAMETERS) == own
-    assert (kind.NEEDS == ("lit", "dark")) == (terms == "saturation")
+    needs = {"sun": "density+sun", "upwelling": "density+sun+upwelling"}
+    alone = [find_look(f"air+{needs.get(term, term)}") for term in terms.split("+")]
+    assert set(kind.PARAMETERS) == {name for one in alone for name in one.PARAMETERS}
+    assert (kind.NEEDS[:2] == ("lit", "dark")) == (terms in ("saturation", "phase"))
+    assert ("sun_cos" in kind.NEEDS) == ("sun" in terms or "phase" in terms)
 
 
 @pytest.mark.parametrize("terms", TERMS)
@@ -150,6 +162,10 @@ def test_what_cannot_be_is_refused_by_name() -> None:
         find_look("air+haze")
     with pytest.raises(InputError, match="density and density-rgb are one term"):
         find_look("air+density+density-rgb")
+    with pytest.raises(InputError, match="term sun goes with density; add it"):
+        find_look("air+saturation+sun")
+    with pytest.raises(InputError, match="term upwelling goes with sun; add it"):
+        find_look("air+density+upwelling")
     with pytest.raises(InputError, match="look layers: has no term 'density'"):
         find_look("layers+density")
     with pytest.raises(InputError, match=r"scale_height: -1\.0 must be at least 0"):
@@ -161,6 +177,24 @@ def test_layers_that_do_not_know_their_rays_are_refused() -> None:
     with pytest.raises(InputError, match=r"do not tell how rays pass the planet.*field begin"):
         combine(bare, look("density"))
     combine(bare, look("saturation"))  # needs widths only
+
+
+@pytest.mark.parametrize("terms", ["phase", "density+sun"])
+def test_scenes_without_a_sun_are_refused_where_it_counts(terms: str) -> None:
+    dark = analytic_layers(replace(scene(), sun=None))
+    with pytest.raises(InputError, match=r"do not tell where the sun is.*give the scene a sun"):
+        combine(dark, look(terms))
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_suns_way_of_clear_air_changes_nothing() -> None:
+    """Without extinction all sunlight gets there; eight nodes for six, which leave 6e-5."""
+    layers = analytic_layers(scene(size=(17, 13)), np.float64)
+    known: dict[str, Any] = {"scale_height": 8.0, "shadow": 0.3}
+    plain = combine(layers, look("density", **known))
+    for terms in ("density+sun", "density+saturation+sun"):
+        found = combine(layers, look(terms, extinction=(0.0, 0.0, 0.0), **known))
+        np.testing.assert_allclose(found, plain, rtol=2e-4, atol=1e-6 * float(plain.max()))
 
 
 def test_several_shadows_are_refused_where_their_place_counts() -> None:
