@@ -45,8 +45,8 @@ WITHIN = tuple(
 """Of the integral from 0 to each node, what the value at each node counts for: exact for
 polynomials of the seventh degree."""
 
-ERFCX_RATE = 0.46
-ERFCX = (0.23, 0.22967748, 0.21231912, 0.11357556, 0.21139873, -0.11074118)
+TAIL_RATE = 0.46
+TAIL_FACTORS = (0.23, 0.22967748, 0.21231912, 0.11357556, 0.21139873, -0.11074118)
 """E(t) = Σ c_k w^(k+1) with w = 1/(1 + rate·t): least squares, reweighted until the largest
 relative error is least, 2.1e-5; c_0 gives 1/(2 t) at large t."""
 
@@ -132,17 +132,17 @@ def _outward(
     size = safe_sqrt(width * scale_height)
     begin = over(sunward, size)
     end = safe_sqrt(begin * begin + room)
-    return size * jnp.maximum(density * erfcx(begin) - at_top * erfcx(end), 0)
+    return size * jnp.maximum(density * scaled_tail(begin) - at_top * scaled_tail(end), 0)
 
 
-def erfcx(t: AnyArray) -> AnyArray:
-    """√π/2 · exp(t²) erfc(t) for t ≥ 0.
+def scaled_tail(t: AnyArray) -> AnyArray:
+    """E(t) = ∫ exp(t² - y²) dy from t to ∞ = √π/2 · exp(t²) erfc(t), for t ≥ 0.
 
-    Twin: `erfcx` in `sunlight.glsl`.
+    Twin: `scaled_tail` in `sunlight.glsl`.
     """
-    w = 1 / (1 + ERFCX_RATE * t)
-    found: AnyArray = jnp.full_like(t, ERFCX[-1])
-    for factor in ERFCX[-2::-1]:
+    w = 1 / (1 + TAIL_RATE * t)
+    found: AnyArray = jnp.full_like(t, TAIL_FACTORS[-1])
+    for factor in TAIL_FACTORS[-2::-1]:
         found = factor + w * found
     return w * found
 
@@ -175,17 +175,14 @@ def sunlight_met(
 
     Twin: `sunlight_met` in `sunlight.glsl`.
     """
-    each = (jnp.stack(part) for part in zip(*pieces(air, dark), strict=True))
+    each = [jnp.stack(part) for part in zip(*pieces(air, dark), strict=True)]
     given = (altitude, impact, scale_height, sunward, sun_cos, top, extinction)
-    # Channels first: loops over three numbers are slow, over pixels they are not.
-    first = [jnp.moveaxis(part, -1, 1) for part in each]
-    first += [jnp.moveaxis(jnp.asarray(part), -1, 0) for part in given]
-    return Met(*(jnp.moveaxis(part, 0, -1) for part in _met(dims, *first)))
+    return Met(*_met(dims, *each, *map(jnp.asarray, given)))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _met(dims: bool, *given: jax.Array) -> tuple[AnyArray, ...]:
-    """`Met`, channels first, of the pieces' `_walk`."""
+    """`Met` of the pieces' `_walk`."""
     return _walk(dims, *given)[0]
 
 
@@ -272,7 +269,7 @@ def _walk(  # long: sums of the light, and of what it moves by, over the same no
     extinction, None where there is none."""
     dtype = jnp.result_type(near, extinction)
     shares = jnp.asarray(SHARES, dtype).reshape((-1,) + (1,) * (near.ndim - 1))
-    within = jnp.asarray(WITHIN, dtype).reshape((-1, *shares.shape))
+    within = jnp.asarray(WITHIN, dtype)
     ext = extinction[None]
 
     def at(height: jax.Array, piece: Any) -> _Nodes:
@@ -284,11 +281,9 @@ def _walk(  # long: sums of the light, and of what it moves by, over the same no
 
     def inner(parts: jax.Array, column: jax.Array, piece: Any) -> jax.Array:
         """Column from the camera to each node."""
-        rows = jax.lax.optimization_barrier([over_nodes(row * parts) for row in within])
-        found = jax.lax.optimization_barrier(jnp.stack(rows))
+        found = jnp.tensordot(within, parts, 1)
         whole = over_nodes(shares * parts)[None]
-        deep = column[None] + jnp.where(piece[3][None] > 0, whole - found, found)
-        return jax.lax.optimization_barrier(deep)
+        return column[None] + jnp.where(piece[3][None] > 0, whole - found, found)
 
     def walked(carried: Any, piece: Any) -> Any:
         column, offset, sums, moved_column, by_height, by_extinction = carried

@@ -7,7 +7,7 @@ import numpy as np
 from model_jax import Camera, Encoding, Look, Scene, Sun, depth_constants, eye_center
 from model_jax._column import DEEPEST, NODES, REACH, SERIES_DEPTH, SHARES, STEEPEST
 from model_jax._phase import NEAREST
-from model_jax._sunlight import ERFCX, ERFCX_RATE, HIGH_SUN, LOW_SUN, SUNK, WITHIN
+from model_jax._sunlight import HIGH_SUN, LOW_SUN, SUNK, TAIL_FACTORS, TAIL_RATE, WITHIN
 from model_jax._sunlight import NODES as SUN_NODES
 from model_jax._sunlight import SHARES as SUN_SHARES
 from model_jax._view import Aim, ShadowCone
@@ -52,8 +52,8 @@ def uniforms_of(scene: Scene, encoding: Encoding) -> dict[str, Any]:
         "sun_nodes": list(SUN_NODES),
         "sun_shares": list(SUN_SHARES),
         "sun_within": [share for row in WITHIN for share in row],
-        "erfcx_factors": list(ERFCX),
-        "sun_limits": (ERFCX_RATE, LOW_SUN, HIGH_SUN, SUNK),
+        "tail_factors": list(TAIL_FACTORS),
+        "sun_limits": (TAIL_RATE, LOW_SUN, HIGH_SUN, SUNK),
         "phase_nearest": NEAREST,
         "series_depth": SERIES_DEPTH,
         "shell_height": float(scene.atmosphere.height),

@@ -1,16 +1,16 @@
 // Sunlight on its way through air that thins out, and how much of it a ray meets. Twins, with the
-// formulas: sun_column, erfcx and sunlight_met in model_jax._sunlight, which owns the numbers.
+// formulas: sun_column, scaled_tail and sunlight_met in model_jax._sunlight, which owns the numbers.
 
 #ifdef FIELD_SUNWARD
 uniform float sun_nodes[8];
 uniform float sun_shares[8];
 uniform float sun_within[64];
-uniform float erfcx_factors[6];
-uniform vec4 sun_limits;  // rate of erfcx, mean heights low and high, deepest scale heights
+uniform float tail_factors[6];
+uniform vec4 sun_limits;  // rate of scaled_tail, mean heights low and high, deepest scale heights
 
-float erfcx(float t) {
-    float w = 1.0 / (1.0 + sun_limits.x * t), found = erfcx_factors[5];
-    for (int k = 4; k >= 0; k--) found = erfcx_factors[k] + w * found;
+float scaled_tail(float t) {
+    float w = 1.0 / (1.0 + sun_limits.x * t), found = tail_factors[5];
+    for (int k = 4; k >= 0; k--) found = tail_factors[k] + w * found;
     return w * found;
 }
 
@@ -24,7 +24,7 @@ float outward(float sunward, float distance, float height, float density, float 
     for (int k = 0; k < 3; k++) left *= left;
     float size = sqrt((2.0 * distance + mean * scale_height * (1.0 - left)) * scale_height);
     float begin = sunward / max(size, smallest), end = sqrt(begin * begin + room);
-    return size * max(density * erfcx(begin) - at_top * erfcx(end), 0.0);
+    return size * max(density * scaled_tail(begin) - at_top * scaled_tail(end), 0.0);
 }
 
 // Column between a point and the sun.
@@ -42,8 +42,8 @@ float sun_column(float sunward, float distance, float height, float density, flo
 #define NODES 8
 
 // What a ray meets: its column, and shares of it that are sunlit and shaded, and the mean sine of the
-// sun's elevation. extinction: of a unit of length; 0 in dimming where nothing is dimmed on its way
-// to the camera.
+// sun's elevation. extinction: of a unit of length, on the sun's way; dimming: on the way to the
+// camera, the same or 0.
 void sunlight_met(float cuts[PIECES + 1], bool in_shadow[PIECES], float altitude, float impact,
                   float scale_height, float sunward, float sun_cos, float top, float extinction,
                   float dimming, out float column, out vec3 shares) {

@@ -52,7 +52,7 @@ TWINS = {
     "pieces": _column.pieces,
     "mean_transmittance": _column.mean_transmittance,
     "rise_of": _column.rise_of,
-    "erfcx": _sunlight.erfcx,
+    "scaled_tail": _sunlight.scaled_tail,
     "outward": _sunlight._outward,
     "sun_column": _sunlight.sun_column,
     "sunlight_met": _sunlight.sunlight_met,
