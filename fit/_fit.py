@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from model_jax import InputError, Layers, LayersLook, Look, Response
+from model_jax._analytic import with_ground
 from model_jax._blur import MOST_BLUR
 from model_jax._fields import only_needed
 from model_jax._kinds import need
@@ -172,7 +173,7 @@ def fit(
     with float64():
         bound_programs()
         photos, all_layers = _pairs(photo, layers)
-        all_layers = tuple(only_needed(one, look.NEEDS) for one in all_layers)
+        all_layers = tuple(_as_needed(one, type(look)) for one in all_layers)
         responses = _responses(response, len(photos))
         parameters = declare(look, responses, free=free, bounds=bounds, priors=priors, tied=tied)
         loss_name, handling, sampled = check_loss(loss), check_jpeg(jpeg), check_sampling(sampling)
@@ -207,14 +208,19 @@ def _fit_traced(
             "fit: under jit, vmap or grad it takes one array as photo, loss='linear', no priors "
             "and no blur; call it outside of them for more"
         )
-    layers = only_needed(layers, look.NEEDS)
-    layers = jax.tree.map(np.asarray, layers)  # inside jit, JAX's operations on them would trace
+    with jax.ensure_compile_time_eval():  # inside jit, JAX's operations on layers would trace
+        layers = jax.tree.map(np.asarray, _as_needed(layers, type(look)))
     known = concrete(look, response)
     parameters = declare(known[0], [known[1]], free=free, bounds=bounds, tied=tied)
     make_solver(solver)
     shown = np.ones(np.shape(photo))  # any picture: which pixels may be used is the layers' affair
     used = choose_pixels(shown, layers, check_sampling(sampling), check_where(where)).used
     return fit_traced(photo, layers, look, response, parameters, used, solver)
+
+
+def _as_needed(layers: Layers, kind: type[Look]) -> Layers:
+    """The layers with what looks of a kind ask for, and without what they do not."""
+    return with_ground(only_needed(layers, kind.NEEDS), kind)
 
 
 def _fit(task: Task, where: Where) -> FitResult:

@@ -201,6 +201,15 @@ def rise_of(
     return Rise(first, low, height, least, begin, rise, whole, length, reached)
 
 
+def place_at(along: AnyArray, altitude: AnyArray, impact: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Height, and distance from the planet's centre, at a length from a ray's nearest point.
+
+    Twin: `place_at` in `column.glsl`.
+    """
+    distance = safe_sqrt(impact * impact + along * along)
+    return altitude + along * over(along, distance + impact), distance
+
+
 def over(numerator: AnyArray, denominator: AnyArray) -> AnyArray:
     """The quotient, and 0 where both are next to nothing; slopes of any order are numbers."""
     least = jnp.finfo(denominator.dtype).tiny ** 0.5

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ._analytic import with_ground
 from ._errors import InputError
 from ._fields import Fields, fields_of
 from ._kinds import as_jax, need
@@ -81,9 +82,13 @@ def air_light(
 
 
 def compose(
-    air: Air, surface: AnyArray | None, background: Any, blend: Blend = "add"
+    air: Air,
+    surface: AnyArray | None,
+    background: Any,
+    blend: Blend = "add",
+    ground: AnyArray | None = None,
 ) -> Float[AnyArray, "*shape c"]:
-    """The picture: `surface · transmittance + light + background`.
+    """The picture: `surface · ground · transmittance + light + background`.
 
     Args:
         air: light, alpha and transmittance; NumPy or JAX arrays, channels last or first, if only
@@ -91,6 +96,7 @@ def compose(
         surface: light of what lies behind the air; None for nothing.
         background: light that the frame adds.
         blend: what alpha does to light and surface.
+        ground: the look's factor on the surface; None is 1.
     """
     light, passed = air.light, air.transmittance
     if air.alpha is not None and blend != "add":
@@ -99,6 +105,8 @@ def compose(
     light = light + background
     if surface is None:
         return light
+    if ground is not None:
+        surface = surface * ground
     return light + (surface if passed is None else surface * passed)
 
 
@@ -123,17 +131,28 @@ def composite(layers: Layers, look: Look) -> Rgba:
     """The picture: surface · transmittance + air + background, and the coverage of both.
 
     Returns:
-        Linear light [h, w, 4]. Without a surface layer the planet is black; alpha is 1 in front of
-        the planet where the layers know it, else the air's.
+        Linear light [h, w, 4]. Without a surface layer the planet is black, unless the look says
+        how bright it is (`Look.GROUND`); alpha is 1 in front of the planet where the layers know
+        it, else the air's.
     """
     air, alpha = _air(layers, look)
+    layers = with_ground(layers, type(look))
     dtype = air.light.dtype
     background = jnp.asarray(look.background, dtype).reshape(1, 1, -1)
     surface = None if layers.surface is None else jnp.asarray(layers.surface, dtype)
-    rgb = compose(air, surface, background, look.BLEND)
+    rgb = compose(air, surface, background, look.BLEND, ground_of(look, surface))
     if layers.planet is not None:
         alpha = jnp.maximum(alpha, jnp.asarray(layers.planet, dtype)[..., None])
     return jnp.concatenate([rgb, alpha], axis=-1)
+
+
+def ground_of(look: Look, surface: AnyArray | None, axis: int = -1) -> AnyArray | None:
+    """The look's factor on the surface, whose channels are an axis; None where there is none."""
+    if surface is None or not look.GROUND:
+        return None
+    shape = [1] * np.ndim(surface)
+    shape[axis] = 3
+    return jnp.asarray(getattr(look, look.GROUND), surface.dtype).reshape(shape)
 
 
 def _air(layers: Layers, look: Look) -> tuple[Air, AnyArray]:
@@ -157,8 +176,13 @@ def transmits(kind: type[Look]) -> bool:
 
 @cache
 def dims(kind: type[Look]) -> bool:
-    """Whether looks of a kind change what lies behind the air: by transmittance, or by alpha."""
-    return transmits(kind) or (_abstract(kind).alpha is not None and kind.BLEND != "add")
+    """Whether looks of a kind change what lies behind the air: by transmittance, by alpha, or by a
+    factor of their own."""
+    return (
+        transmits(kind)
+        or bool(kind.GROUND)
+        or (_abstract(kind).alpha is not None and kind.BLEND != "add")
+    )
 
 
 def _abstract(kind: type[Look]) -> Air:

@@ -51,7 +51,11 @@ FIELDS: dict[str, Field] = {
         unseen=_NO_DARK,
         of_shadow=True,
     ),
-    "planet": Field("1 where the planet or an occluder ends the ray, 0 where space does", "1"),
+    "planet": Field(
+        "1 where the planet or an occluder ends the ray, 0 where space does",
+        "1",
+        unseen="no pixel used is in front of the planet",
+    ),
     "begin": Field(
         "where the air begins on the ray, from its point nearest to the planet", "length"
     ),

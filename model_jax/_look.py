@@ -132,6 +132,10 @@ class Look(eqx.Module):
     """Parameters to whose product the light is proportional, channel by channel, all others held:
     a number, and perhaps factors with a mean of one. A fit then solves for them, and its starts
     differ in the others only."""
+    GROUND: ClassVar[str] = ""
+    """Parameter, three numbers ≥ 0, that light of what lies behind the air is multiplied by before
+    the air dims it. Of a scene that tells no light of its planet that is then Lambert's, of an
+    albedo of 1."""
     TERMS: ClassVar[dict[str, str]] = {}
     """What may be added to it (`with_terms`), by name, and what that does."""
     TERM_NEEDS: ClassVar[dict[str, tuple[str, ...]]] = {}
@@ -240,7 +244,7 @@ _TAKEN = {
     *RESPONSE_PARAMETERS,
     # What a look has itself.
     *("background", "air", "NAME", "PARAMETERS", "NEEDS", "LINEAR_IN", "ROUNDINGS", "BLEND"),
-    *("SEPARABLE", "AMPLITUDE", "GLSL", "TERMS", "TERM_NEEDS", "with_terms"),
+    *("SEPARABLE", "AMPLITUDE", "GROUND", "GLSL", "TERMS", "TERM_NEEDS", "with_terms"),
     # Keys of scene files and exports.
     *("kind", "look", "verdict", "warnings", "color", "width_unit"),
     *("atmosphere_path", "atmosphere_height", "planet_radius"),

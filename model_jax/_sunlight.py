@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from ._column import over, pieces, rise_of
+from ._column import STEEPEST, over, pieces, rise_of
 from ._safe import safe_sqrt
 from ._shapes import AnyArray
 
@@ -106,6 +106,22 @@ def sun_column(
         return jnp.where(sunward < 0, jnp.maximum(2 * through - above, 0), above)
 
     return jax.lax.cond(jnp.any(sunward < 0), below, lambda: above)
+
+
+def sun_column_at(
+    sunward: AnyArray,
+    distance: AnyArray,
+    height: AnyArray,
+    top: AnyArray,
+    scale_height: AnyArray,
+) -> AnyArray:
+    """The same of points whose density is not known; scale heights may be 0.
+
+    Twin: `sun_column_at` in `sunlight.glsl`.
+    """
+    least = jnp.maximum(scale_height, 2 * STEEPEST * distance)
+    density = jnp.exp(jnp.minimum(-height / least, SUNK))
+    return sun_column(sunward, distance, height, density, top, least)
 
 
 def _outward(

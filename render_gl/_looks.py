@@ -53,7 +53,7 @@ def look_text(kind: type[Look]) -> str:
     wanted = {
         name: uniform_type(about)
         for name, about in kind.PARAMETERS.items()
-        if name not in Look.PARAMETERS
+        if name not in Look.PARAMETERS and name != kind.GROUND
     }
     where = f"look {kind.NAME}: its GLSL"
     for name, type_ in wanted.items():

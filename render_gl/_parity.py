@@ -32,6 +32,7 @@ quotients of the scene's own constants, by the shader's own `linearize_depth`. I
 correctly rounded e is 0; else it is the largest error found plus 1, and at most 3.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -155,9 +156,23 @@ Parts = tuple[np.ndarray, ...]
 """Of light [h, w, 3], alpha [h, w, 1] and transmittance [h, w, 3]."""
 
 
-@eqx.filter_jit
 def _slopes(look: Look, fields: dict[str, AnyArray], color: AnyArray) -> Any:
     """What a look makes of fields (`Parts`), and its slopes by each of them, by name."""
+    still = {name: jnp.zeros_like(field) for name, field in fields.items()}
+    found = {
+        name: _pushed(look, fields, color, still | {name: jnp.ones_like(field)})
+        for name, field in fields.items()
+    }
+    parts, _ = next(iter(found.values()))
+    return parts, {name: slopes for name, (_, slopes) in found.items()}
+
+
+@eqx.filter_jit
+def _pushed(
+    look: Look, fields: dict[str, AnyArray], color: AnyArray, change: Mapping[str, AnyArray]
+) -> tuple[Any, Any]:
+    """The parts, and how they change with the fields: one program for all of these, for a look that
+    goes along the ray makes a large one of each."""
 
     def looked(fields: dict[str, AnyArray]) -> tuple[AnyArray, ...]:
         air = air_light(look, fields, color)
@@ -166,11 +181,7 @@ def _slopes(look: Look, fields: dict[str, AnyArray], color: AnyArray) -> Any:
         alpha = one if air.alpha is None else air.alpha
         return air.light, alpha, jnp.broadcast_to(passed, air.light.shape)
 
-    parts, push = jax.linearize(looked, fields)
-    slopes = {
-        name: push({n: jnp.full_like(f, float(n == name)) for n, f in fields.items()})
-        for name in fields
-    }
+    parts, slopes = jax.jvp(looked, (fields,), (dict(change),))
     return parts, slopes
 
 

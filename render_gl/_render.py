@@ -14,7 +14,7 @@ from model_jax import (
     ray_stretch,
     view_of,
 )
-from model_jax._composite import Air, compose
+from model_jax._composite import Air, compose, ground_of
 from model_jax._shapes import Rgba
 
 from ._choices import Source
@@ -41,9 +41,9 @@ def render(
         look: what the layers are for: shadows are drawn only if it needs them; None: in any case.
 
     Returns:
-        float32 layers [h, w] with the planet's mask, and `surface` when the planet has an albedo;
-        no shadow layers when no air in view is in shadow; `width_error` where a mesh is in them,
-        that is of ground with relief and of "mesh".
+        float32 layers [h, w] with the planet's mask, and `surface` when the planet has an albedo or
+        the look says how bright it is; no shadow layers when no air in view is in shadow;
+        `width_error` where a mesh is in them, that is of ground with relief and of "mesh".
 
     Raises:
         DriverError: no usable OpenGL. InputError: what cannot be drawn, by name.
@@ -85,7 +85,8 @@ def _picture(look: Look, frame: Frame) -> Rgba:
     """Surface, air and background together, as the frame buffer adds them."""
     alpha = frame.air[..., 3:]
     air = Air(frame.air[..., :3], alpha, frame.transmittance)
-    rgb = compose(air, frame.surface, np.asarray(look.background, np.float32), look.BLEND)
+    background, ground = np.asarray(look.background, np.float32), ground_of(look, frame.surface)
+    rgb = np.asarray(compose(air, frame.surface, background, look.BLEND, ground))
     alpha = np.maximum(alpha, frame.planet[..., None])
     return np.concatenate([rgb, alpha], axis=-1)
 

@@ -43,7 +43,7 @@ class _Passes:
     """Exact passes in the coordinates of a box, the last one remembered."""
 
     def __init__(self, problem: Problem, free: Sequence[FitParameter], base: Entries) -> None:
-        self.box = Box(free, problem.parameters, problem.model.layout.kind.AMPLITUDE)
+        self.box = Box(free, problem.parameters, problem.model.layout.kind)
         self.base = base
         self.history: list[float] = []
         self._samples, self._model = on_device(problem.reduced), problem.model

@@ -10,20 +10,22 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from model_jax import Look
+
 from ._parameters import Entries, FitParameter, followers, shares_basis, shares_in
 
 LEVELS = ("background", "black_level")
-"""What light is added by."""
+"""What light is added by; ground behind the air adds some, too."""
 
 
 class Box:
     """Coordinates of the free parameters: first those the light is linear in."""
 
     def __init__(
-        self, free: Sequence[FitParameter], parameters: Sequence[FitParameter], names: Sequence[str]
+        self, free: Sequence[FitParameter], parameters: Sequence[FitParameter], kind: type[Look]
     ) -> None:
         shares = shares_in(parameters)
-        found = [p for p in free if p.family in names]
+        found = [p for p in free if p.family in kind.AMPLITUDE]
         numbers, factors = [p for p in found if not p.mean_one], [p for p in found if p.mean_one]
         self.amplitude = numbers[0] if len(numbers) == 1 else None
         by_channel = self.amplitude is not None and len(factors) > 1
@@ -34,8 +36,9 @@ class Box:
         self._others = [e for e in range(shares.start, shares.stop) if e not in self._members]
         self._amplitudes = len(self._members) if by_channel else int(self.amplitude is not None)
         plain = [p for p in free if p is not self.amplitude and not p.mean_one]
-        self.levels = [p for p in plain if p.family in LEVELS]
-        self._plain = [*self.levels, *(p for p in plain if p.family not in LEVELS)]
+        levels = (*LEVELS, kind.GROUND)
+        self.levels = [p for p in plain if p.family in levels]
+        self._plain = [*self.levels, *(p for p in plain if p.family not in levels)]
         self._rows = [
             [e for q in followers(p, parameters) for e in q.entries]
             for p in ([self.amplitude] if self.amplitude else []) + self._plain

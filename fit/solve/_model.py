@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from model_jax import Look, Response, record
 from model_jax._blur import below_limb, inner_heights, line_weights
-from model_jax._composite import Air, air_light, compose
+from model_jax._composite import Air, air_light, compose, ground_of
 from model_jax._safe import safe_divide, safe_power
 from model_jax._shapes import AnyArray
 
@@ -58,7 +58,8 @@ def predict(
     air = Air(jnp.zeros_like(tile.light), None, None) if bare else _air(look, tile, model)
     background = jnp.broadcast_to(look.background, (3,))[:, None] * one[None, :]
     dims = model.layout.dims  # then the surface is as it is, else what its channels show of it
-    light = compose(air, tile.surface if dims else None, background, look.BLEND)
+    surface = tile.surface if dims else None
+    light = compose(air, surface, background, look.BLEND, ground_of(look, surface, 0))
     if tile.mix is not None:
         light = tile.mix @ light
     if tile.surface is not None and not dims:

@@ -10,14 +10,14 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
-from .._column import columns, lengths_to, mean_transmittance
+from .._column import columns, lengths_to, mean_transmittance, place_at
 from .._errors import InputError
 from .._fields import OF_SUN, PLACES, Fields
 from .._look import Look, Separable, parameter
 from .._parameter import LENGTH, PER_UNIT, Shape
 from .._phase import henyey_greenstein, rayleigh
 from .._shapes import Scalar, Three
-from .._sunlight import sunlight_met
+from .._sunlight import sun_column_at, sunlight_met
 
 
 def _scale_height(shape: Shape) -> Any:
@@ -75,6 +75,15 @@ def _parameters(term: str) -> dict[str, tuple[Any, Any]]:
             source="Bruneton & Neyret, Precomputed Atmospheric Scattering, 2008",
         )
         return {"aerosol": (Scalar, aerosol), "asymmetry": (Scalar, asymmetry)}
+    if term == "ground":
+        about = parameter(
+            "factor on the ground's light; its albedo, if the scene gives none",
+            lower=0.0,
+            default=(1.0, 1.0, 1.0),
+            shape="rgb",
+            of="planet",
+        )
+        return {"ground": (Three, about)}
     if term == "upwelling":
         about = parameter(
             "light that comes from below under the sun in the zenith, as a share of sunlight",
@@ -129,6 +138,7 @@ class AirLook(Look):
         "sun": "sunlight is dimmed on its way to the air, more the lower the sun",
         "upwelling": "ground and clouds below throw light up into the air where the sun is up",
         "phase": "light is scattered more into some directions than into others",
+        "ground": "ground behind the air is as bright as the look says",
     }
     TERM_NEEDS: ClassVar[dict[str, tuple[str, ...]]] = {
         "sun": ("density",),
@@ -153,10 +163,12 @@ class AirLook(Look):
         if "upwelling" in terms:
             sent = sent + self.upwelling * upward
         light = self.brightness * (fields.color * self.tint * sent)
-        if "saturation" not in terms:
-            return light, None
-        depth = self.extinction * jnp.maximum(whole, 0)
-        return light * mean_transmittance(depth), jnp.exp(-depth)
+        passed = self._reaching(fields, terms) if "sun" in terms else None
+        if "saturation" in terms:
+            depth = self.extinction * jnp.maximum(whole, 0)
+            light = light * mean_transmittance(depth)
+            passed = jnp.exp(-depth) if passed is None else passed * jnp.exp(-depth)
+        return light, passed
 
     def _widths(self, fields: Fields, terms: list[str]) -> tuple[Any, Any]:
         """Lit and dark width, weighted by the density where it is not 1."""
@@ -186,12 +198,29 @@ class AirLook(Look):
             self.scale_height,
             fields.sunward,
             fields.sun_cos,
-            jnp.minimum(self.top, fields.shell) if "top" in terms else fields.shell,
+            self._top(fields, terms),
             self.extinction * fields.per_length,
             dims="saturation" in terms,
         )
         whole = met.column * fields.per_length
         return whole, whole * met.sunlit, whole * met.shaded, whole * met.upward
+
+    def _reaching(self, fields: Fields, terms: list[str]) -> Any:
+        """Share of the sun's light that reaches what ends the ray."""
+        height, distance = place_at(fields.end, fields.altitude, fields.impact)
+        sunward = fields.sunward + fields.end * fields.sun_cos
+        column = sun_column_at(
+            jnp.clip(sunward, -distance, distance),
+            distance,
+            height,
+            self._top(fields, terms),
+            self.scale_height,
+        )
+        return jnp.exp(-self.extinction * fields.per_length * column)
+
+    def _top(self, fields: Fields, terms: list[str]) -> Any:
+        """Height at which the air ends on the sun's side."""
+        return jnp.minimum(self.top, fields.shell) if "top" in terms else fields.shell
 
     def _places(self, fields: Fields, terms: list[str]) -> tuple[Any, Any, Any]:
         """Where on the ray air begins and ends, and the shadow in it, if there is one."""
@@ -230,12 +259,14 @@ def _with_terms(terms: tuple[str, ...]) -> type[Look]:
     if not terms:
         return AirLook
     fields = {name: part for term in terms for name, part in _parameters(term).items()}
-    places = any(term not in ("saturation", "phase") for term in terms)
+    places = any(term not in ("saturation", "phase", "ground") for term in terms)
     needs = PLACES if places else AirLook.NEEDS
     if "sun" in terms:
         needs = (*needs, *OF_SUN, "shell")
     elif "phase" in terms:
         needs = (*needs, "sun_cos")
+    if "ground" in terms:
+        needs = (*needs, "planet")
     if places:
         fields["shadow"] = (Scalar | Three, _shadow("dark_end"))
     facts: dict[str, Any] = {
@@ -244,6 +275,7 @@ def _with_terms(terms: tuple[str, ...]) -> type[Look]:
         "__annotations__": {name: annotation for name, (annotation, _) in fields.items()},
         "NAME": "+".join((AirLook.NAME, *terms)),
         "NEEDS": needs,
+        "GROUND": "ground" if "ground" in terms else "",
         "LINEAR_IN": (),
         "SEPARABLE": None,
         # Of a depth τ on the sun's way exp(-τ) is off by τ times what the column is, some 40 ulp on

@@ -21,6 +21,12 @@ void rise_of(float near, float far, float altitude, float impact, float scale_he
     low = altitude + near * (near / max(first + impact, smallest));
 }
 
+// Height, and distance from the planet's centre, at a length from a ray's nearest point.
+vec2 place_at(float along, float altitude, float impact) {
+    float distance = sqrt(impact * impact + along * along);
+    return vec2(altitude + along * (along / max(distance + impact, column_limits.w)), distance);
+}
+
 // The density's integral along it.
 float column(float near, float far, float altitude, float impact, float scale_height) {
     float low, height, begin, span, smallest = column_limits.w, total = 0.0;

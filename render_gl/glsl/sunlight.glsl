@@ -39,6 +39,13 @@ float sun_column(float sunward, float distance, float height, float density, flo
     return max(2.0 * outward(0.0, lowest, low, least, at_top, top, scale_height) - above, 0.0);
 }
 
+// The same where the density is not known.
+float sun_column_at(float sunward, float distance, float height, float top, float scale_height) {
+    float least = max(scale_height, 2.0 * column_limits.y * distance);
+    float density = exp(min(-height / least, sun_limits.w));
+    return sun_column(sunward, distance, height, density, top, least);
+}
+
 #define NODES 8
 
 // What a ray meets: its column, and shares of it that are sunlit and shaded, and the mean sine of the

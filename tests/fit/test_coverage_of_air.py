@@ -1,12 +1,14 @@
-"""Do 95 % intervals of air that thins out and saturates hold the truth, sharp and blurred?
+"""Do 95 % intervals of air that thins out and saturates hold the truth, sharp, sunlit and blurred?
 
 As in `test_coverage`: each photo has a look and noise of its own, and then becomes 8 bits. Sharp
-photos show a whole planet; blurred ones 14° of a limb, 400 px in radius, on both sides of the
-terminator, in front of a planet that is lit. The blur is a convolution of a picture four times as
-fine and eight pixels wider, so what the model leaves of it is in the intervals, too.
+and sunlit photos show a whole planet, the latter's air with the sun's way, light from below and
+phase; blurred ones 14° of a limb, 400 px in radius, on both sides of the terminator, in front of a
+planet that is lit. The blur is a convolution of a picture four times as fine and eight pixels
+wider, so what the model leaves of it is in the intervals, too.
 """
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -16,7 +18,7 @@ from scipy.ndimage import gaussian_filter
 
 from fit import FitResult, fit
 from fit.solve._declare import declare
-from model_jax import Layers, Look, Planet, Response, analytic_layers, composite, find_look
+from model_jax import Layers, Look, Planet, Response, Scene, analytic_layers, composite, find_look
 from tests.fit.noises import rounded
 from tests.model_jax.scenes import RADIUS, scene_of
 
@@ -24,21 +26,20 @@ from .looks import exact_layers
 from .test_coverage import LEAST, MOST
 
 AIR = find_look("air+density+saturation")
+SUNLIT = find_look("air+density+saturation+sun+upwelling+phase")
 WIDTH, HEIGHT = 97, 73
-PLACE, LIMB = np.array([3.0, 0.0, 0.0]), np.array([1.0, 0.0, np.sqrt(8)]) / 3
-SCENES = {
-    "sharp": scene_of((0.0, -3.0, 0.4), size=(WIDTH, HEIGHT), fov=45.0, shell=0.4),
-    "soft": scene_of(
-        tuple(PLACE),
-        tuple(1.004 * LIMB),
-        sun=(0.0, 1.0, 0.0),
-        size=(WIDTH, HEIGHT),
-        fov=3.8,
-        shell=0.05,
-        near=1.5,
-        far=4.5,
-    ),
-}
+PLACE, AIM = np.array([3.0, 0.0, 0.0]), np.array([1.0, 0.0, np.sqrt(8)]) / 3
+DISC = scene_of((0.0, -3.0, 0.4), size=(WIDTH, HEIGHT), fov=45.0, shell=0.4)
+LIMB = scene_of(
+    tuple(PLACE),
+    tuple(1.004 * AIM),
+    sun=(0.0, 1.0, 0.0),
+    size=(WIDTH, HEIGHT),
+    fov=3.8,
+    shell=0.05,
+    near=1.5,
+    far=4.5,
+)
 BLUR = 1.2
 FINE, BORDER = 4, 8
 
@@ -57,14 +58,27 @@ def draw_look(rng: np.random.Generator, shell: float) -> Look:
     )
 
 
+def draw_sunlit(rng: np.random.Generator, shell: float) -> Look:
+    """The same under a sun that the air dims, with light from below, and haze."""
+    look = draw_look(rng, shell)
+    given = {name: getattr(look, name) for name in AIR.PARAMETERS if name != "brightness"}
+    return SUNLIT(
+        **given,
+        brightness=1.5 * float(look.brightness),
+        upwelling=rng.uniform(0.2, 0.6),
+        aerosol=rng.uniform(0.2, 0.6),
+        asymmetry=rng.uniform(0.4, 0.8),
+    )
+
+
 def sharp(look: Look, layers: Layers, rng: np.random.Generator, folder: Path) -> FitResult:
     with jax.enable_x64(True):
         light = np.asarray(composite(layers, look))[..., :3]
-    return fit(rounded(light, rng, folder), layers, AIR(), sampling="point")
+    return fit(rounded(light, rng, folder), layers, type(look)(), sampling="point")
 
 
 def soft(look: Look, layers: Layers, rng: np.random.Generator, folder: Path) -> FitResult:
-    scene = SCENES["soft"]
+    scene = LIMB
     width, height = WIDTH + 2 * BORDER, HEIGHT + 2 * BORDER
     half = np.tan(np.radians(scene.camera.fov_y_deg) / 2) * height / HEIGHT
     fov = float(np.degrees(2 * np.arctan(half)))
@@ -78,20 +92,33 @@ def soft(look: Look, layers: Layers, rng: np.random.Generator, folder: Path) -> 
     return fit(photo, layers, AIR(), response=Response(blur=1.0))
 
 
-KINDS = {"sharp": sharp, "soft": soft}
+@dataclass(frozen=True)
+class Kind:
+    """Photos of one kind, each drawn and then fitted."""
+
+    scene: Scene
+    draw: Callable[[np.random.Generator, float], Look]
+    fitted: Callable[[Look, Layers, np.random.Generator, Path], FitResult]
+
+
+KINDS = {
+    "sharp": Kind(DISC, draw_look, sharp),
+    "sunlit": Kind(DISC, draw_sunlit, sharp),
+    "soft": Kind(LIMB, draw_look, soft),
+}
 
 
 def covered(kind: str, count: int, seed: int, folder: Path) -> dict[str, list[bool | None]]:
     """Of each free parameter and fit, whether its interval holds the truth; None without one."""
-    scene = SCENES[kind]
+    scene, draw, fitted = (getattr(KINDS[kind], part) for part in ("scene", "draw", "fitted"))
     layers = exact_layers(scene)
     assert scene.atmosphere is not None
     shell = float(scene.atmosphere.height) / RADIUS
     found: dict[str, list[bool | None]] = {}
     for child in np.random.SeedSequence(seed).spawn(count):
         rng = np.random.default_rng(child)
-        look = draw_look(rng, shell)
-        result = KINDS[kind](look, layers, rng, folder)
+        look = draw(rng, shell)
+        result = fitted(look, layers, rng, folder)
         responses = [Response(blur=BLUR if kind == "soft" else None)]
         truth = {p.name: float(p.value) for p in declare(look, responses)}
         for name, p in result.parameters.items():

@@ -1,17 +1,19 @@
 """The shader of the look `air` against its twin, term by term, and where numbers are extreme."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from model_jax import InputError, Scene, combine, find_look
+from model_jax import InputError, Planet, Scene, analytic_layers, combine, composite, find_look
 from render_gl import (
     check_scene,
     read_channels,
     read_layers,
     render,
+    render_layers_and_image,
     write_channels,
     write_layers,
 )
@@ -42,6 +44,7 @@ VALUES: dict[str, dict[str, Any]] = {
         "top": 60.0,
         "extinction": (20.0, 50.0, 110.0),
     },
+    "ground": {"ground": (0.1, 0.2, 0.4)},
 }
 
 STIFF: dict[str, dict[str, Any]] = {
@@ -52,16 +55,20 @@ STIFF: dict[str, dict[str, Any]] = {
 }
 
 
+DAY = (0.5, 0.9, 0.35)
+"""A sun that lights the ground in view."""
+TEXTURE = str(Path(__file__).parents[2] / "examples/planet_albedo.jpg")
+
 FEW = ("in shadow and shell", "far, off axis", "thick shell")
 """Scenes of the quick suite: inside of everything, far away, and a shadow that ends in the air."""
 
 
-def limb(**more: Any) -> Scene:
+def limb(sun: tuple[float, float, float] = (-0.3, 0.9, 0.35), **more: Any) -> Scene:
     """From 400 km up, past the limb, a shadow in the air."""
     return scene_of(
         (1.06, 0.0, 0.0),
         (0.88, 0.3, 0.0),
-        sun=(-0.3, 0.9, 0.35),
+        sun=sun,
         shell=100.0 / RADIUS,
         size=(120, 90),
         **more,
@@ -118,6 +125,36 @@ def test_a_fault_of_a_percent_in_a_parameter_is_caught(
     terms = "density+top+saturation"
     parity = check_scene(limb(), find_look(f"air+{terms}")(**VALUES[terms])).parity
     assert not parity.passed
+
+
+@pytest.mark.parametrize("albedo", [None, (0.5, 0.4, 0.2), TEXTURE])
+@pytest.mark.parametrize("terms", ["ground", "density+saturation+sun+ground"])
+def test_ground_is_drawn_as_composite_says(terms: str, albedo: Any) -> None:
+    """What the frame buffer adds is what JAX adds: two roundings of each product more than in the
+    parts, which are checked above, and light of at most 1."""
+    look = find_look(f"air+{terms}")(ground=(0.2, 0.3, 0.5))
+    scene = replace(limb(DAY), planet=Planet(RADIUS, albedo=albedo))
+    layers, picture = render_layers_and_image(scene, look)
+    assert layers.surface is not None
+    assert layers.surface[np.asarray(layers.planet) == 1].max() > 0.01
+    parity = check_scene(scene, look).parity
+    of_passed = parity.bound[..., 4:] if parity.bound.shape[-1] > 4 else 0
+    bound = parity.bound[..., :3] + np.asarray(layers.surface) * (of_passed + 4e-7)
+    apart = np.abs(np.float64(picture) - np.asarray(composite(layers, look)))[..., :3]
+    assert (apart <= bound + 4e-7 * picture[..., :3]).all()
+
+
+def test_without_an_albedo_only_looks_with_ground_light_it() -> None:
+    assert render(limb(DAY), look=find_look("air+density")()).surface is None
+    surface = render(limb(DAY), look=find_look("air+ground")()).surface
+    exact = analytic_layers(limb(DAY), look=find_look("air+ground")()).surface
+    assert surface is not None
+    assert exact is not None
+    # Where both see ground. Along the ray a float32 place is off by some ulp over the cosine of its
+    # angle to the normal, which half a pixel from the limb is √(2 · 0.0013).
+    both = (np.asarray(surface) > 0) & (np.asarray(exact) > 0)
+    assert both.mean() > 0.1
+    np.testing.assert_allclose(surface[both], np.asarray(exact)[both], atol=1e-5)
 
 
 def test_a_file_of_layers_keeps_its_view(tmp_path: Any) -> None:

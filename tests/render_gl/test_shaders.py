@@ -55,6 +55,8 @@ TWINS = {
     "scaled_tail": _sunlight.scaled_tail,
     "outward": _sunlight._outward,
     "sun_column": _sunlight.sun_column,
+    "sun_column_at": _sunlight.sun_column_at,
+    "place_at": _column.place_at,
     "sunlight_met": _sunlight.sunlight_met,
     "rayleigh": _phase.rayleigh,
     "henyey_greenstein": _phase.henyey_greenstein,

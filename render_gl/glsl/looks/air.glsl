@@ -108,9 +108,21 @@ vec3 air(Fields fields, inout float alpha, inout vec3 transmittance) {
     sent += upwelling * upward;
 #endif
     vec3 light = brightness * (fields.color * tint * sent);
+#ifdef TERM_SUN
+    vec2 place = place_at(fields.end, fields.altitude, fields.impact);
+    float sunward = clamp(fields.sunward + fields.end * fields.sun_cos, -place.y, place.y);
+    for (int c = 0; c < 3; c++)
+        transmittance[c] = exp(-extinction[c] * fields.per_length *
+            sun_column_at(sunward, place.y, place.x, top_of_air,
+#ifdef TERM_DENSITY_RGB
+                scale_height[c]));
+#else
+                scale_height));
+#endif
+#endif
 #ifdef TERM_SATURATION
     vec3 depth = extinction * max(width, 0.0);
-    transmittance = exp(-depth);
+    transmittance *= exp(-depth);
     light *= mean_transmittance(depth);
 #endif
     return light;

@@ -54,7 +54,7 @@ def test_coordinates_are_where_their_slopes_lead(asked: Mapping[str, object]) ->
     `placed`: half the difference of two of its values, a step of 1e-4 apart, is good to 1e-7."""
     parameters = declare(AIR(**TRUE), [Response()], **asked)  # type: ignore[arg-type]
     free = [p for p in parameters if p.role == "free"]
-    box, vector = Box(free, parameters, AIR.AMPLITUDE), to_entries(parameters)
+    box, vector = Box(free, parameters, AIR), to_entries(parameters)
     values = box.values(vector)
     assert len(values) == len(box.lower) == len(box.upper) == box.slopes(vector).shape[1]
     np.testing.assert_allclose(box.placed(vector, values), vector, rtol=1e-14)

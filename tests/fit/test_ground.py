@@ -1,0 +1,83 @@
+"""Fits of air in front of ground of unknown brightness: `where="all"` and the term `ground`."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from fit import fit
+from fit.solve._box import Box
+from fit.solve._declare import declare
+from model_jax import Look, Planet, Response, Scene, analytic_layers, composite, find_look
+from tests.model_jax.scenes import RADIUS, scene_of
+
+LOOK = find_look("air+saturation+ground")
+SCENE = scene_of((0.0, -3.0, 0.4), sun=(0.5, -0.6, 0.2), size=(65, 49), fov=45.0, shell=0.1)
+TRUE: dict[str, Any] = {
+    "extinction": (2.0, 5.0, 11.0),
+    "brightness": 2.5,
+    "tint": (0.8, 1.0, 1.2),
+    "shadow": 0.3,
+    "background": 0.02,
+    "ground": (0.3, 0.25, 0.2),
+}
+NOISE = 2e-3
+
+
+def photo_of(scene: Scene, look: Look) -> np.ndarray:
+    light = np.asarray(composite(analytic_layers(scene), look), np.float32)[..., :3]
+    noise = np.random.default_rng(5).normal(0, NOISE, light.shape)
+    return light + noise.astype(np.float32)
+
+
+@pytest.mark.parametrize("albedo", [None, (0.9, 0.5, 0.3)])
+def test_the_ground_of_a_photo_is_found_beside_its_air(
+    albedo: tuple[float, float, float] | None,
+) -> None:
+    """With a scene's own albedo the factor on it. Four standard errors of a Gaussian are passed by
+    one of 16,000 values."""
+    scene = replace(SCENE, planet=Planet(RADIUS, albedo=albedo))
+    photo = photo_of(scene, LOOK(**TRUE))
+    found = fit(photo, analytic_layers(scene), LOOK(), sampling="point")
+    assert found.verdict == "converged", found.message
+    for name, p in found.parameters.items():
+        if p.role == "free":
+            family, _, channel = name.partition(".")
+            true = np.asarray(TRUE[family])
+            one = float(true["rgb".index(channel)] if channel else true)
+            assert p.stderr is not None
+            assert abs(p.value - one) < 4 * p.stderr, name
+    ground = [found.parameters[f"ground.{c}"] for c in "rgb"]
+    assert all(p.stderr is not None and p.stderr < 0.01 * p.value for p in ground)
+
+
+def test_of_a_ring_the_ground_is_left_out_with_a_word() -> None:
+    photo = photo_of(SCENE, LOOK(**TRUE))
+    found = fit(photo, analytic_layers(SCENE), LOOK(), sampling="point", where="ring")
+    assert found.verdict == "converged", found.message
+    assert {found.parameters[f"ground.{c}"].role for c in "rgb"} == {"held"}
+    said = {left.what: left.why for left in found.left_out}
+    assert said["ground"] == "no pixel used is in front of the planet"
+
+
+def test_light_is_linear_in_the_ground_of_a_box() -> None:
+    parameters = declare(LOOK(**TRUE), [Response()])
+    free = [p for p in parameters if p.role == "free"]
+    box = Box(free, parameters, LOOK)
+    assert [p.family for p in box.levels] == ["ground"] * 3 + ["background"]
+    assert box.linear == 3 + 4
+
+
+@pytest.mark.usefixtures("x64")
+def test_traced_fits_know_the_ground() -> None:
+    layers = analytic_layers(SCENE, np.float64)
+    photo = np.asarray(composite(layers, LOOK(**TRUE)))[..., :3]
+    start = LOOK(**TRUE | {"brightness": 2.0, "ground": (1.0, 1.0, 1.0)})
+    free = ["brightness", "ground"]
+
+    def fitted(photo: jax.Array) -> jax.Array:
+        return fit(photo, layers, start, free=free, sampling="point").look.ground
+
+    np.testing.assert_allclose(jax.jit(fitted)(photo), TRUE["ground"], rtol=1e-6)

@@ -1,0 +1,110 @@
+"""Ground behind the air: as bright as a look says, lit through the air, else white."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from model_jax import InputError, Look, Planet, Scene, analytic_layers, composite, find_look
+
+from .scenes import RADIUS, scene_of
+from .test_sunlight import to_sun
+
+SCENE = scene_of((0.0, -3.0, 0.4), sun=(0.5, -0.6, 0.2), shell=0.05)
+GROUND = (0.2, 0.3, 0.5)
+
+
+def look_of(terms: str, **values: object) -> Look:
+    return find_look(f"air+{terms}")(**values)
+
+
+@pytest.mark.parametrize("terms", ["ground", "density+ground", "saturation+ground"])
+def test_ground_of_a_look_is_the_albedo_of_a_scene_without_one(terms: str) -> None:
+    """A product in another order: some roundings of float32."""
+    said = composite(analytic_layers(SCENE), look_of(terms, ground=GROUND))
+    coloured = replace(SCENE, planet=Planet(RADIUS, albedo=GROUND))
+    given = composite(analytic_layers(coloured), look_of(terms.removesuffix("+ground")))
+    if terms == "ground":
+        given = composite(analytic_layers(coloured), find_look("air")())
+    np.testing.assert_allclose(said, given, rtol=1e-6)
+    assert float(np.max(said)) > 0.1
+
+
+def test_ground_of_a_look_is_a_factor_on_a_scenes_own() -> None:
+    coloured = replace(SCENE, planet=Planet(RADIUS, albedo=(0.5, 0.4, 0.2)))
+    layers, look = analytic_layers(coloured), look_of("saturation+ground", brightness=0.0)
+    other = look_of("saturation+ground", brightness=0.0, ground=GROUND)
+    one, two = (np.asarray(composite(layers, each)) for each in (look, other))
+    np.testing.assert_allclose(two[..., :3], one[..., :3] * np.array(GROUND, "f4"), rtol=1e-6)
+
+
+def test_layers_made_for_a_look_bring_the_ground_that_composite_would_add() -> None:
+    look = look_of("density+ground")
+    made = analytic_layers(SCENE, look=look)
+    assert made.surface is not None
+    assert analytic_layers(SCENE).surface is None
+    np.testing.assert_array_equal(composite(made, look), composite(analytic_layers(SCENE), look))
+
+
+def test_without_a_view_ground_is_asked_for() -> None:
+    bare = replace(analytic_layers(SCENE), view=None)
+    with pytest.raises(InputError, match=r"which the look asks for.*parameter ground.*surface"):
+        composite(bare, look_of("ground"))
+    surface = jnp.ones((*bare.front.shape, 3), jnp.float32)
+    assert composite(replace(bare, surface=surface), look_of("ground")).shape[-1] == 4
+
+
+@pytest.mark.usefixtures("x64")
+def test_sunlight_reaches_the_ground_through_the_air() -> None:
+    """Of black air over white ground what passes is exp(-τ), of the columns from the sun and to the
+    camera by adaptive integration. The camera's column is exact to 6.5e-5, what passes on the sun's
+    way to 1e-3."""
+    scale, extinction, shell = 0.02 * RADIUS, (2.0, 6.0, 20.0), 0.2
+    scene = scene_of((0.0, -3.0, 0.4), sun=(0.7, -0.3, 0.2), shell=shell, path="distance")
+    look = look_of(
+        "density+saturation+sun+ground", scale_height=scale, extinction=extinction, brightness=0.0
+    )
+    layers = analytic_layers(scene, np.float64, look)
+    picture = np.asarray(composite(layers, look))[..., :3]
+    assert layers.surface is not None
+    white = np.asarray(layers.surface)
+    rows, columns = np.nonzero(white[..., 0] > 0.02)
+    view = layers.view
+    assert view is not None
+    depth = np.asarray(extinction) * RADIUS / float(layers.width_unit)
+    pixels = zip(rows.tolist(), columns.tolist(), strict=True)
+    passed = np.array([ways(scene, row, column, shell) for row, column in pixels])
+    expected = white[rows, columns] * np.exp(-depth * passed[:, None])
+    np.testing.assert_allclose(picture[rows, columns], expected, atol=1.2e-3)
+    assert np.median(expected) < 0.9 * np.median(white[rows, columns])
+
+
+def ways(scene: Scene, row: int, column: int, shell: float) -> float:
+    """Columns from the ground that a pixel sees to camera and sun, planet radii."""
+    camera, sun = scene.camera, scene.sun
+    assert sun is not None
+    right, up, ahead = np.asarray(camera.basis(), np.float64)
+    size = float(camera.pixel_size())
+    x = (column + 0.5 - camera.width / 2) * size
+    y = (camera.height / 2 - row - 0.5) * size
+    ray = ahead + x * right + y * up
+    ray /= np.linalg.norm(ray)
+    place = np.asarray(camera.position, np.float64) / RADIUS
+    along = -place @ ray - np.sqrt((place @ ray) ** 2 - place @ place + 1)
+    normal = place + along * ray
+    elevations = (np.arcsin(np.clip(normal @ d, -1, 1)) for d in (-ray, np.asarray(sun.direction)))
+    return sum(to_sun(0.0, float(e), 0.02, shell) for e in elevations)
+
+
+def test_slopes_by_the_ground_are_finite_at_its_bound() -> None:
+    layers = analytic_layers(SCENE)
+    look = look_of("density+saturation+sun+ground", ground=(0.0, 0.0, 0.0))
+
+    def total(look: Look) -> jax.Array:
+        return composite(layers, look).sum()
+
+    slopes = jax.grad(total)(jax.tree.map(jnp.float32, look))
+    assert all(np.isfinite(part).all() for part in jax.tree.leaves(slopes))
+    assert (np.asarray(slopes.ground) > 0).all()
