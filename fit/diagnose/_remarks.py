@@ -91,7 +91,7 @@ def _why_without_field(
 def _shows(columns: Sequence[Columns], name: str) -> bool:
     """Some pixel, or a line that it sees, has more of a field than its rounding."""
     return any(
-        name in fields and (amount_of(fields, name) > c.width_error).any()
+        name in fields and (np.abs(amount_of(fields, name)) > c.width_error).any()
         for c in columns
         for fields in ([c.fields] if c.stencil is None else [c.stencil.fields, c.stencil.inner])
     )

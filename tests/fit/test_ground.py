@@ -1,4 +1,5 @@
-"""Fits of air in front of ground of unknown brightness: `where="all"` and the term `ground`."""
+"""Fits of air in front of ground of unknown brightness: `where="all"` and the term `ground`; and
+what one photo does not tell of terms."""
 
 from dataclasses import replace
 from typing import Any
@@ -60,6 +61,31 @@ def test_of_a_ring_the_ground_is_left_out_with_a_word() -> None:
     assert {found.parameters[f"ground.{c}"].role for c in "rgb"} == {"held"}
     said = {left.what: left.why for left in found.left_out}
     assert said["ground"] == "no pixel used is in front of the planet"
+
+
+def test_the_ground_and_the_exposure_are_one() -> None:
+    free = ["brightness", "extinction", "ground", "background", "exposure"]
+    photo, look = photo_of(SCENE, LOOK(**TRUE)), LOOK(**TRUE)
+    found = fit(photo, analytic_layers(SCENE), look, free=free, sampling="point")
+    assert found.verdict == "not_identifiable"
+    (left,) = found.left_out
+    assert left.what == "exposure"
+    assert "brightness, ground.r, ground.g, ground.b and exposure act alike" in left.why
+
+
+def test_from_far_away_the_phase_is_a_factor_with_a_word() -> None:
+    """Between the rays there is half a degree: haze's angle and share scale the lit air, and with
+    the shadow's weight so does brightness."""
+    far = scene_of((140.0, -185.0, 15.0), fov=0.62, sun=(0.2, -1.0, 0.4), size=(65, 49), shell=0.1)
+    look = find_look("air+saturation+phase")
+    deep = {"extinction": (60.0, 120.0, 200.0), "brightness": 80.0, "tint": TRUE["tint"]}
+    photo = photo_of(far, look(**deep, background=0.02, aerosol=0.4, asymmetry=0.6))
+    found = fit(photo, analytic_layers(far), look(), sampling="point")
+    (left,) = found.left_out
+    assert left.what in ("aerosol", "asymmetry")
+    assert left.what in left.why
+    assert "brightness" in left.why
+    assert "act alike" in left.why
 
 
 def test_light_is_linear_in_the_ground_of_a_box() -> None:
