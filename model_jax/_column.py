@@ -21,12 +21,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Float
 
 from ._safe import safe_sqrt
 from ._shapes import AnyArray
 
 Piece = tuple[AnyArray, AnyArray, AnyArray, AnyArray]
+Span = tuple[AnyArray, AnyArray]
+"""Where something on a ray begins and ends, from the ray's nearest point."""
 
 REACH = 10.0
 """t² - t1² at which the integral ends. Largest relative error over all rays and scale heights from
@@ -46,8 +47,8 @@ SERIES_DEPTH = 0.5
 
 
 def columns(
-    air: tuple[AnyArray, AnyArray],
-    dark: tuple[AnyArray, AnyArray] | None,
+    air: Span,
+    dark: Span | None,
     altitude: AnyArray,
     impact: AnyArray,
     scale_height: AnyArray,
@@ -269,9 +270,16 @@ def pieces(air: Sequence[AnyArray], dark: Sequence[AnyArray] | None) -> list[Pie
     ]
 
 
-def lengths_to(top: AnyArray, altitude: AnyArray, impact: AnyArray) -> Float[AnyArray, "..."]:
-    """Half the chord of a ray in a shell of a height: √((R + top)² - b²), 0 where it passes above.
+def below(
+    top: AnyArray, air: Span, dark: Span | None, altitude: AnyArray, impact: AnyArray
+) -> tuple[Span, Span | None]:
+    """What of air and shadow lies below a height.
 
-    As a product, so that a thin shell far away keeps its digits.
+    Half the chord in a shell of that height is √((R + top)² - b²), 0 where the ray passes above; as
+    a product, so that a thin shell far away keeps its digits.
     """
-    return safe_sqrt((top - altitude) * (2 * impact - altitude + top))
+    reach = safe_sqrt((top - altitude) * (2 * impact - altitude + top))
+    begin, end = (jnp.clip(part, -reach, reach) for part in air)
+    if dark is None:
+        return (begin, end), None
+    return (begin, end), (jnp.clip(dark[0], begin, end), jnp.clip(dark[1], begin, end))

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from ._column import STEEPEST, over, pieces, rise_of
+from ._column import STEEPEST, Span, below, over, pieces, rise_of
 from ._safe import safe_sqrt
 from ._shapes import AnyArray
 
@@ -70,7 +70,15 @@ class Met(NamedTuple):
     shaded: AnyArray
     """Share of the light that comes from shadow, if all of the air sends the same."""
     upward: AnyArray
-    """Mean sine of the sun's elevation, 0 where the sun is below the horizontal."""
+    """Mean sine of the sun's elevation, 0 where the sun is below the horizontal; 0 if it was not
+    asked for."""
+
+
+class _Asked(NamedTuple):
+    """What a ray is walked for."""
+
+    dims: bool
+    upward: bool
 
 
 def sun_column(
@@ -164,17 +172,19 @@ def scaled_tail(t: AnyArray) -> AnyArray:
 
 
 def sunlight_met(
-    air: tuple[AnyArray, AnyArray],
-    dark: tuple[AnyArray, AnyArray] | None,
+    air: Span,
+    dark: Span | None,
     altitude: AnyArray,
     impact: AnyArray,
     scale_height: AnyArray,
     sunward: AnyArray,
     sun_cos: AnyArray,
-    top: AnyArray,
+    shell: AnyArray,
     extinction: AnyArray,
     *,
     dims: bool,
+    upward: bool = True,
+    top: AnyArray | None = None,
 ) -> Met:
     """What of the sun's light a ray meets on its way through the air.
 
@@ -182,44 +192,60 @@ def sunlight_met(
         air, dark, altitude, impact, scale_height: as of `_column.columns`.
         sunward: how far the ray's nearest point lies towards the sun from the planet's centre.
         sun_cos: cosine of the angle between the ray and the direction to the sun.
-        top: height at which the air ends on the sun's side.
+        shell: height at which the air ends on the sun's side.
         extinction: optical depth of a unit of length of air as dense as at the radius.
         dims: light is dimmed by the same on its way to the camera.
+        upward: whether `Met.upward` is asked for.
+        top: height above which there is no air, here and on the sun's side; None: the shell's.
 
     Against a march (float64, H from R/800 to R/50, optical depths of the longest way up to 40):
     99 % of rays within 0.1 % of their light without the sun's way, all within 0.4 %.
 
     Twin: `sunlight_met` in `sunlight.glsl`.
     """
-    each = [jnp.stack(part) for part in zip(*pieces(air, dark), strict=True)]
-    given = (altitude, impact, scale_height, sunward, sun_cos, top, extinction)
-    return Met(*_met(dims, *each, *map(jnp.asarray, given)))
+    given = (air, dark, altitude, impact, sunward, sun_cos, shell)
+    moving = (scale_height, extinction, top)
+    found = _met(_Asked(dims, upward), *jax.tree.map(jnp.asarray, (given, moving)))
+    return Met(*found, *([] if upward else [jnp.zeros(())]))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _met(dims: bool, *given: jax.Array) -> tuple[AnyArray, ...]:
-    """`Met` of the pieces' `_walk`."""
-    return _walk(dims, *given)[0]
+def _met(asked: _Asked, given: tuple[Any, ...], moving: tuple[Any, ...]) -> tuple[AnyArray, ...]:
+    """`Met` by `_walk`; `given` are places, `moving` what a fit changes."""
+    return _walk(asked, given, *moving)[0]
 
 
 @partial(_met.defjvp, symbolic_zeros=True)
-def _met_jvp(dims: bool, given: Any, tangents: Any) -> Any:
+def _met_jvp(asked: _Asked, given: Any, tangents: Any) -> Any:
     """Where only the air's own numbers move, as in a fit, slopes by them are numbers of the pixel:
     however many parameters push it, its nodes are visited once."""
-    *places, scale_height, sunward, sun_cos, top, extinction = tangents
-    if not all(isinstance(part, SymbolicZero) for part in (*places, sunward, sun_cos, top)):
-        filled = [
-            jnp.zeros_like(part) if isinstance(tangent, SymbolicZero) else tangent
-            for part, tangent in zip(given, tangents, strict=True)
-        ]
-        return jax.jvp(lambda *all_of: _walk(dims, *all_of)[0], given, tuple(filled))
-    found, by_height, by_extinction = _walk(dims, *given, slopes=True)
+    places, (scale_height, extinction, top) = tangents
+    still = all(isinstance(part, SymbolicZero) for part in jax.tree.leaves(places, is_leaf=_still))
+    if not still:
+        filled = jax.tree.map(
+            lambda part, change: jnp.zeros_like(part) if _still(change) else change,
+            given,
+            tangents,
+        )
+        return jax.jvp(lambda places, moving: _walk(asked, places, *moving)[0], given, filled)
+    fixed, moving = given
+    found, by_height, by_extinction = _walk(asked, fixed, *moving, slopes=True)
+    by_top: Any = ()
+    if top is not None and not _still(top):
+        here, depth, height = moving
+        one = jnp.ones_like(height)
+        _, by_top = jax.jvp(lambda h: _walk(asked, fixed, here, depth, h)[0], (height,), (one,))
     changes = [jnp.zeros_like(part) for part in found]
-    for tangent, slopes in ((scale_height, by_height), (extinction, by_extinction)):
-        if not isinstance(tangent, SymbolicZero):
+    for tangent, slopes in ((scale_height, by_height), (extinction, by_extinction), (top, by_top)):
+        if not _still(tangent):
             for k, slope in enumerate(slopes):
                 changes[k] = changes[k] if slope is None else changes[k] + slope * tangent
     return found, tuple(changes)
+
+
+def _still(tangent: Any) -> bool:
+    """Whether what has the tangent does not move."""
+    return isinstance(tangent, SymbolicZero)
 
 
 class _Nodes(NamedTuple):
@@ -266,30 +292,30 @@ def _nodes_of(
 
 
 def _walk(  # long: sums of the light, and of what it moves by, over the same nodes
-    dims: bool,
-    near: jax.Array,
-    far: jax.Array,
-    shade: jax.Array,
-    before: jax.Array,
-    altitude: jax.Array,
-    impact: jax.Array,
+    asked: _Asked,
+    given: tuple[Any, ...],
     scale_height: jax.Array,
-    sunward: jax.Array,
-    sun_cos: jax.Array,
-    top: jax.Array,
     extinction: jax.Array,
+    top: jax.Array | None,
     *,
     slopes: bool = False,
 ) -> tuple[Any, Any, Any]:
     """Piece by piece from the camera: `Met`, and if asked its slopes by scale height and
     extinction, None where there is none."""
+    air, dark_air, altitude, impact, sunward, sun_cos, end = given
+    if top is not None:
+        air, dark_air = below(top, air, dark_air, altitude, impact)
+        end = jnp.minimum(top, end)
+    near, far, shade, before = (
+        jnp.stack(part) for part in zip(*pieces(air, dark_air), strict=True)
+    )
     dtype = jnp.result_type(near, extinction)
     shares = jnp.asarray(SHARES, dtype).reshape((-1,) + (1,) * (near.ndim - 1))
     within = jnp.asarray(WITHIN, dtype)
     ext = extinction[None]
 
     def at(height: jax.Array, piece: Any) -> _Nodes:
-        return _nodes_of(height, piece, altitude, impact, sunward, sun_cos, top)
+        return _nodes_of(height, piece, altitude, impact, sunward, sun_cos, end)
 
     def over_nodes(values: jax.Array) -> jax.Array:
         # One by one: XLA's own sum over a first axis takes a number at a time.
@@ -314,8 +340,8 @@ def _walk(  # long: sums of the light, and of what it moves by, over the same no
         parts, to_sun, elevation = here
         passed, sent = jnp.exp(-ext * to_sun), shares * parts
         left: AnyArray | float = 1.0
-        deep = inner(parts, column, piece) if dims else jnp.zeros_like(parts)
-        if dims:
+        deep = inner(parts, column, piece) if asked.dims else jnp.zeros_like(parts)
+        if asked.dims:
             # Of the light that gets out first: shares of it stay numbers, however dark the air.
             first = extinction * jnp.where(piece[3] > 0, deep[-1], deep[0])
             offset = jnp.where(sums[0] > 0, offset, first)
@@ -326,14 +352,15 @@ def _walk(  # long: sums of the light, and of what it moves by, over the same no
 
         def summed(sent: Any, reached: Any, upward: Any) -> tuple[Any, ...]:
             total = over_nodes(sent)
-            return total, lit * over_nodes(reached), dark * total, over_nodes(upward)
+            three = total, lit * over_nodes(reached), dark * total
+            return (*three, over_nodes(upward)) if asked.upward else three
 
         def added(before: Any, more: Any) -> tuple[Any, ...]:
             return tuple(a + b for a, b in zip(before, more, strict=True))
 
         if slopes:
             change = shares * moved.parts * left
-            if dims:
+            if asked.dims:
                 change = change - ext * inner(moved.parts, moved_column, piece) * sent
             less = change * passed - ext * moved.to_sun * reached
             up = change * elevation + sent * moved.elevation
@@ -353,9 +380,10 @@ def _walk(  # long: sums of the light, and of what it moves by, over the same no
 
     one = jnp.broadcast_shapes(near.shape[1:], scale_height.shape)
     three = jnp.broadcast_shapes(one, extinction.shape)
-    each = three if dims else one
+    each = three if asked.dims else one
     nothing = jnp.zeros(one, dtype)
-    none = tuple(jnp.zeros(shape, dtype) for shape in (each, three, each, each))
+    shapes = (each, three, each, each) if asked.upward else (each, three, each)
+    none = tuple(jnp.zeros(shape, dtype) for shape in shapes)
     begun = (nothing, jnp.zeros(each, dtype), none, nothing, none, none)
     ended, _ = jax.lax.scan(if_any, begun, (near, far, shade, before))
     column, _, (weight, *light), moved_column, by_height, by_extinction = ended
@@ -365,8 +393,8 @@ def _walk(  # long: sums of the light, and of what it moves by, over the same no
         return [over(b - f * by[0], weight) for b, f in zip(by[1:], found, strict=True)]
 
     of_extinction = quotients(by_extinction)
-    if not dims:
-        of_extinction[1:] = [None, None]
+    if not asked.dims:
+        of_extinction[1:] = [None] * len(of_extinction[1:])
     return (
         (column, *found),
         (moved_column, *quotients(by_height)),

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
-from .._column import columns, lengths_to, mean_transmittance, place_at
+from .._column import Span, below, columns, mean_transmittance, place_at
 from .._errors import InputError
 from .._fields import OF_SUN, PLACES, Fields
 from .._look import Look, Separable, parameter
@@ -175,7 +175,9 @@ class AirLook(Look):
         thins = any(name.startswith("density") for name in terms)
         if not thins and "top" not in terms:
             return fields.lit, fields.dark
-        begin, end, dark = self._places(fields, terms)
+        (begin, end), dark = self._places(fields)
+        if "top" in terms:
+            (begin, end), dark = below(self.top, (begin, end), dark, fields.altitude, fields.impact)
         lit: Any
         shaded: Any
         if thins:
@@ -189,18 +191,20 @@ class AirLook(Look):
     def _sunlit(self, fields: Fields, terms: list[str]) -> tuple[Any, Any, Any, Any]:
         """Width, weighted by the density; and what of it sunlight reaches, what is dark, and what
         ground below lights, each weighted by how much of its light gets out, too."""
-        begin, end, dark = self._places(fields, terms)
+        air, dark = self._places(fields)
         met = sunlight_met(
-            (begin, end),
+            air,
             dark,
             fields.altitude,
             fields.impact,
             self.scale_height,
             fields.sunward,
             fields.sun_cos,
-            self._top(fields, terms),
+            fields.shell,
             self.extinction * fields.per_length,
             dims="saturation" in terms,
+            upward="upwelling" in terms,
+            top=self.top if "top" in terms else None,
         )
         whole = met.column * fields.per_length
         return whole, whole * met.sunlit, whole * met.shaded, whole * met.upward
@@ -213,24 +217,17 @@ class AirLook(Look):
             jnp.clip(sunward, -distance, distance),
             distance,
             height,
-            self._top(fields, terms),
+            jnp.minimum(self.top, fields.shell) if "top" in terms else fields.shell,
             self.scale_height,
         )
         return jnp.exp(-self.extinction * fields.per_length * column)
 
-    def _top(self, fields: Fields, terms: list[str]) -> Any:
-        """Height at which the air ends on the sun's side."""
-        return jnp.minimum(self.top, fields.shell) if "top" in terms else fields.shell
-
-    def _places(self, fields: Fields, terms: list[str]) -> tuple[Any, Any, Any]:
-        """Where on the ray air begins and ends, and the shadow in it, if there is one."""
-        begin, end = fields.begin, fields.end
-        dark = None if isinstance(fields.dark_end, float) else (fields.dark_begin, fields.dark_end)
-        if "top" in terms:
-            reach = lengths_to(self.top, fields.altitude, fields.impact)
-            begin, end = jnp.clip(begin, -reach, reach), jnp.clip(end, -reach, reach)
-            dark = dark and (jnp.clip(dark[0], begin, end), jnp.clip(dark[1], begin, end))
-        return begin, end, dark
+    def _places(self, fields: Fields) -> tuple[Span, Span | None]:
+        """Where on the ray the shell's air begins and ends, and the shadow in it, if there is
+        one."""
+        none = isinstance(fields.dark_end, float)
+        dark = None if none else (fields.dark_begin, fields.dark_end)
+        return (fields.begin, fields.end), dark
 
 
 def _known(kind: type[Look], terms: Iterable[str]) -> list[str]:

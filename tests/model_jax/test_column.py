@@ -12,9 +12,9 @@ import pytest
 from model_jax._column import (
     REACH,
     STEEPEST,
+    below,
     column,
     columns,
-    lengths_to,
     mean_transmittance,
     pieces,
 )
@@ -208,8 +208,10 @@ def test_mean_transmittance(dtype: np.dtype) -> None:
 
 
 @pytest.mark.usefixtures("x64")
-def test_half_chords() -> None:
+def test_a_top_cuts_a_ray_at_half_its_chord() -> None:
     altitude = np.array([-1.0, 0.0, 0.5, 1.0, 2.0])
-    found = lengths_to(np.array(1.0), altitude, altitude + 1)
+    far = np.full(5, 9.0)
+    (begin, found), _ = below(np.array(1.0), (-far, far), None, altitude, altitude + 1)
     expected = np.sqrt(np.maximum(4 - (altitude + 1) ** 2, 0))
     np.testing.assert_allclose(found, expected, rtol=1e-15)
+    np.testing.assert_array_equal(begin, -found)

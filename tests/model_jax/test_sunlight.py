@@ -176,17 +176,18 @@ STIFF: dict[str, dict[str, float]] = {
     "along the sun": {"sun_cos": 1.0, "sunward": 0.0},
     "from the sun": {"sun_cos": -1.0, "sunward": 0.0},
     "the sun below": {"sunward": -1.001, "sun_cos": 0.0},
-    "nothing above": {"top": 0.0},
+    "nothing above": {"shell": 0.0},
+    "cut off below": {"top": 0.0},
 }
 
 
 @pytest.mark.parametrize("dims", [False, True])
 def test_light_and_slopes_are_numbers_at_every_end(dims: bool, dtype: np.dtype) -> None:
-    """By every argument at once, in reverse; by two, as fits ask, forwards; and these twice, as
+    """By every argument at once, in reverse; by three, as fits ask, forwards; and these twice, as
     intervals ask in float64 (e^60 of the air in the centre squared is none in float32)."""
     usual = {
         "begin": -0.1, "end": 0.1, "altitude": 0.001, "impact": 1.001, "scale_height": 0.01,
-        "sunward": 0.2, "sun_cos": 0.3, "top": 0.02, "extinction": 3.0,
+        "sunward": 0.2, "sun_cos": 0.3, "shell": 0.02, "top": 0.018, "extinction": 3.0,
     }  # fmt: skip
     rows = [usual | changed for changed in STIFF.values()]
     args = {name: jnp.array([[row[name]] for row in rows], dtype) for name in usual}
@@ -199,7 +200,7 @@ def test_light_and_slopes_are_numbers_at_every_end(dims: bool, dtype: np.dtype) 
         return sum(part.sum(axis=1) for part in met)
 
     def along(of: Any) -> Any:
-        few = {name: args[name] for name in ("scale_height", "extinction")}
+        few = {name: args[name] for name in ("scale_height", "extinction", "top")}
         return lambda some: jax.jvp(of, (few | some,), (jax.tree.map(jnp.ones_like, few),))[1]
 
     by_all = jax.grad(lambda some: light(some).sum())(args)
@@ -218,17 +219,17 @@ def test_slopes_by_few_and_by_many_are_those_of_differences(dims: bool) -> None:
     scale, ext = jnp.full((1, 1), 0.01), jnp.array([[1.0, 3.0, 30.0]])
     one = np.ones((1, 1))
 
-    def light(scale: Any, ext: Any, sunward: Any, cosine: Any) -> Any:
+    def light(scale: Any, ext: Any, top: Any, sunward: Any, cosine: Any) -> Any:
         met = sunlight_met(
             (-0.2 * one, 0.2 * one), (-0.05 * one, 0.03 * one), 0.003 * one, 1.003 * one, scale,
-            sunward, cosine, 0.12 * one, ext, dims=dims,
+            sunward, cosine, 0.12 * one, ext, dims=dims, top=top,
         )  # fmt: skip
         parts = (met.column, met.sunlit, met.shaded, met.upward)
         return jnp.concatenate([jnp.broadcast_to(part, (1, 3)) for part in parts], axis=1)
 
-    at: list[Any] = [scale, ext, 0.1 * one, 0.4 * one]
-    many = jax.jacfwd(light, argnums=(0, 1, 2, 3))(*at)
-    for k in range(4):
+    at: list[Any] = [scale, ext, 0.015 * one, 0.1 * one, 0.4 * one]
+    many = jax.jacfwd(light, argnums=(0, 1, 2, 3, 4))(*at)
+    for k in range(5):
         few = jax.jacfwd(light, argnums=k)(*at)
         np.testing.assert_allclose(few, many[k], rtol=1e-9, atol=1e-12)
         step = 1e-6 * at[k]
