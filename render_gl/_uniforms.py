@@ -8,9 +8,10 @@ from model_jax import Camera, Encoding, Look, Scene, Sun, depth_constants, eye_c
 from model_jax._analytic import WHITE
 from model_jax._column import DEEPEST, NODES, REACH, SERIES_DEPTH, SHARES, STEEPEST
 from model_jax._phase import NEAREST
-from model_jax._sunlight import HIGH_SUN, LOW_SUN, SUNK, TAIL_FACTORS, TAIL_RATE, WITHIN
+from model_jax._sun_column import HIGH_SUN, LOW_SUN, SUNK, TAIL_FACTORS, TAIL_RATE
 from model_jax._sunlight import NODES as SUN_NODES
 from model_jax._sunlight import SHARES as SUN_SHARES
+from model_jax._sunlight import WITHIN
 from model_jax._view import Aim, ShadowCone
 
 from ._depth_format import Storage

@@ -17,7 +17,8 @@ from .._look import Look, Separable, parameter
 from .._parameter import LENGTH, PER_UNIT, Shape
 from .._phase import henyey_greenstein, rayleigh
 from .._shapes import Scalar, Three
-from .._sunlight import sun_column_at, sunlight_met
+from .._sun_column import sun_column_at
+from .._sunlight import sunlight_met
 
 
 def _scale_height(shape: Shape) -> Any:

@@ -1,5 +1,5 @@
 // Sunlight on its way through air that thins out, and how much of it a ray meets. Twins, with the
-// formulas: sun_column, scaled_tail and sunlight_met in model_jax._sunlight, which owns the numbers.
+// formulas: model_jax._sun_column and _sunlight, which own the numbers.
 
 #ifdef FIELD_SUNWARD
 uniform float sun_nodes[8];

@@ -11,7 +11,8 @@ from scipy import special
 from scipy.integrate import quad
 
 from model_jax._phase import henyey_greenstein, rayleigh
-from model_jax._sunlight import scaled_tail, sun_column, sunlight_met
+from model_jax._sun_column import scaled_tail, sun_column
+from model_jax._sunlight import sunlight_met
 
 HEIGHTS = [1e-3, 1e-2, 0.05, 1.0]
 """Scale heights, planet radii."""
