@@ -12,7 +12,7 @@ help: ## Say what the targets do
 setup: $(ready) ## Make .venv from the lock file and find an OpenGL driver
 
 demo: $(ready) ## Fit the example photo and write demo/report.html
-	$(bin)/airlight fit examples/reference.toml examples/reference.png -o demo --look air --terms density,saturation --accept-misfit
+	$(bin)/airlight fit examples/reference.toml examples/reference.png -o demo --look air --terms density,saturation,sun
 	@echo "Report: $(CURDIR)/demo/report.html"
 
 test: $(ready) ## Run the tests; options for pytest go into PYTEST_ARGS

@@ -30,7 +30,7 @@ from ._reduce import factor_of
 from ._samples import on_device
 from ._starts import spread_starts
 
-DESCENTS = 4
+DESCENTS = 8
 FIRST_STEPS = 12
 """Starts that a descent is made from, and its steps, before the lowest goes on: a valley that only
 looked best makes room for another."""

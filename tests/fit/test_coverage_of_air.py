@@ -59,14 +59,15 @@ def draw_look(rng: np.random.Generator, shell: float) -> Look:
 
 
 def draw_sunlit(rng: np.random.Generator, shell: float) -> Look:
-    """The same under a sun that the air dims, with light from below, and haze."""
+    """The same under a sun that the air dims, with light from below, and haze; so far from bounds
+    that hardly a fit ends at one, where the other intervals are for that bound."""
     look = draw_look(rng, shell)
     given = {name: getattr(look, name) for name in AIR.PARAMETERS if name != "brightness"}
     return SUNLIT(
         **given,
         brightness=1.5 * float(look.brightness),
-        upwelling=rng.uniform(0.2, 0.6),
-        aerosol=rng.uniform(0.2, 0.6),
+        upwelling=rng.uniform(0.6, 1.2),
+        aerosol=rng.uniform(0.3, 0.7),
         asymmetry=rng.uniform(0.4, 0.8),
     )
 
