@@ -34,6 +34,10 @@ SUNK = 30.0
 """Scale heights below the mean radius beyond which no ray meets denser air: nothing is left of the
 sun's, and squares of its exponential exist in float32."""
 
+ON_GROUND = 0.999
+"""Share of the shell's height below which a ray ends on the ground: others end at the shell's, to
+some ulp of the radius."""
+
 
 def sun_column(
     sunward: AnyArray,

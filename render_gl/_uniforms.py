@@ -8,7 +8,7 @@ from model_jax import Camera, Encoding, Look, Scene, Sun, depth_constants, eye_c
 from model_jax._analytic import WHITE
 from model_jax._column import DEEPEST, NODES, REACH, SERIES_DEPTH, SHARES, STEEPEST
 from model_jax._phase import NEAREST
-from model_jax._sun_column import HIGH_SUN, LOW_SUN, SUNK, TAIL_FACTORS, TAIL_RATE
+from model_jax._sun_column import HIGH_SUN, LOW_SUN, ON_GROUND, SUNK, TAIL_FACTORS, TAIL_RATE
 from model_jax._sunlight import NODES as SUN_NODES
 from model_jax._sunlight import SHARES as SUN_SHARES
 from model_jax._sunlight import WITHIN
@@ -56,6 +56,7 @@ def uniforms_of(scene: Scene, encoding: Encoding) -> dict[str, Any]:
         "sun_within": [share for row in WITHIN for share in row],
         "tail_factors": list(TAIL_FACTORS),
         "sun_limits": (TAIL_RATE, LOW_SUN, HIGH_SUN, SUNK),
+        "on_ground": ON_GROUND,
         "phase_nearest": NEAREST,
         "series_depth": SERIES_DEPTH,
         "shell_height": float(scene.atmosphere.height),

@@ -17,7 +17,7 @@ from .._look import Look, Separable, parameter
 from .._parameter import LENGTH, PER_UNIT, Shape
 from .._phase import henyey_greenstein, rayleigh
 from .._shapes import Scalar, Three
-from .._sun_column import sun_column_at
+from .._sun_column import ON_GROUND, sun_column_at
 from .._sunlight import sunlight_met
 
 
@@ -211,7 +211,8 @@ class AirLook(Look):
         return whole, whole * met.sunlit, whole * met.shaded, whole * met.upward
 
     def _reaching(self, fields: Fields, terms: list[str]) -> Any:
-        """Share of the sun's light that reaches what ends the ray."""
+        """Share of the sun's light that reaches the ground; of rays that leave the air 1, for what
+        lies behind them has a light of its own."""
         height, distance = place_at(fields.end, fields.altitude, fields.impact)
         sunward = fields.sunward + fields.end * fields.sun_cos
         column = sun_column_at(
@@ -221,7 +222,8 @@ class AirLook(Look):
             jnp.minimum(self.top, fields.shell) if "top" in terms else fields.shell,
             self.scale_height,
         )
-        return jnp.exp(-self.extinction * fields.per_length * column)
+        passed = jnp.exp(-self.extinction * fields.per_length * column)
+        return jnp.where(height < ON_GROUND * fields.shell, passed, 1)
 
     def _places(self, fields: Fields) -> tuple[Span, Span | None]:
         """Where on the ray the shell's air begins and ends, and the shadow in it, if there is

@@ -6,6 +6,7 @@ uniform float sun_nodes[8];
 uniform float sun_shares[8];
 uniform float sun_within[64];
 uniform float tail_factors[6];
+uniform float on_ground;   // share of the shell's height below which a ray ends there
 uniform vec4 sun_limits;  // rate of scaled_tail, mean heights low and high, deepest scale heights
 
 float scaled_tail(float t) {

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from model_jax import InputError, Look, Planet, Scene, analytic_layers, composite, find_look
+from model_jax._composite import air_light
+from model_jax._fields import fields_of
 
 from .scenes import RADIUS, scene_of
 from .test_sunlight import to_sun
 
 SCENE = scene_of((0.0, -3.0, 0.4), sun=(0.5, -0.6, 0.2), shell=0.05)
 GROUND = (0.2, 0.3, 0.5)
+ONE = np.ones(3, np.float32)
 
 
 def look_of(terms: str, **values: object) -> Look:
@@ -96,6 +99,25 @@ def ways(scene: Scene, row: int, column: int, shell: float) -> float:
     normal = place + along * ray
     elevations = (np.arcsin(np.clip(normal @ d, -1, 1)) for d in (-ray, np.asarray(sun.direction)))
     return sum(to_sun(0.0, float(e), 0.02, shell) for e in elevations)
+
+
+def test_what_lies_behind_the_air_of_the_night_passes_it() -> None:
+    """Stars have a light of their own: the sun's way dims the ground alone. Columns by six nodes
+    and by eight are alike to 6.5e-5, and depths end at 3 here."""
+    layers = analytic_layers(SCENE)
+    values = {"scale_height": 0.01 * RADIUS, "extinction": (1.0, 3.0, 9.0)}
+    terms = ("density+saturation", "density+saturation+sun")
+    dimmed, lit = (
+        air_light(
+            look_of(name, **values), fields_of(layers, find_look(f"air+{name}").NEEDS), ONE
+        ).transmittance
+        for name in terms
+    )
+    assert dimmed is not None
+    assert lit is not None
+    sky = np.asarray(layers.planet) == 0
+    np.testing.assert_allclose(np.asarray(lit)[sky], np.asarray(dimmed)[sky], atol=3e-4)
+    assert np.asarray(lit)[~sky].min() < 0.9 * np.asarray(dimmed)[~sky].min()
 
 
 def test_slopes_by_the_ground_are_finite_at_its_bound() -> None:
