@@ -7,6 +7,7 @@ terminator from near by. Air and planet are Earth's, lengths in km.
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,7 @@ SHELL = 60.0
 UNIFORM = SCALE_HEIGHT / SHELL
 """How dense uniform air is that is as much as thinning air."""
 EXPOSURE = 1.2
+WHITE = (1.0, 1.0, 1.0)
 SUN = np.array([1.0, 0.0, 0.0])
 PLACE = np.array([0.9, -2.4, 0.5])
 """Of the camera, planet radii: a quarter of what it sees is night."""
@@ -98,6 +100,8 @@ def draw(scene: Scene) -> Figure:
         values |= more
         if terms == ["density"]:
             values["brightness"] /= UNIFORM
+        if term == "ground":
+            scene = replace(scene, planet=Planet(EARTH_RADIUS, albedo=WHITE))
         look = find_look("+".join(["air", *terms]))(**values)
         light = composite(analytic_layers(scene, look=look), look)[..., :3]
         axes.imshow(np.asarray(Srgb().encode(np.clip(EXPOSURE * np.asarray(light), 0, 1))))

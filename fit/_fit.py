@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Float
 
 from model_jax import InputError, Layers, LayersLook, Look, Response
-from model_jax._analytic import with_ground
 from model_jax._blur import MOST_BLUR
 from model_jax._fields import only_needed
 from model_jax._kinds import need
@@ -39,7 +38,7 @@ from .photo._pixels import choose_pixels
 from .solve._declare import declare, links, pairs
 from .solve._descend import make_solver
 from .solve._parameters import to_entries
-from .solve._problem import within_scene
+from .solve._problem import one_in_grey, within_scene
 from .solve._task import Task
 
 MAX_STEPS = 256
@@ -148,7 +147,7 @@ def fit(
             surface tells; "all" uses ring and planet, with a blur ring and sky.
         solver: lm, dogleg or bfgs, of optimistix. A look that is not separable is brought near by
             SciPy's trust region within the bounds first; where that ends, lm has nothing to do.
-        max_steps: of the solver, for each of the few descents.
+        max_steps: of the solver, for each descent.
 
     Returns:
         A `FitResult`; that a photo cannot be fitted is its verdict, not an error. All computing is
@@ -173,7 +172,7 @@ def fit(
     with float64():
         bound_programs()
         photos, all_layers = _pairs(photo, layers)
-        all_layers = tuple(_as_needed(one, type(look)) for one in all_layers)
+        all_layers = tuple(only_needed(one, look.NEEDS) for one in all_layers)
         responses = _responses(response, len(photos))
         parameters = declare(look, responses, free=free, bounds=bounds, priors=priors, tied=tied)
         loss_name, handling, sampled = check_loss(loss), check_jpeg(jpeg), check_sampling(sampling)
@@ -208,19 +207,14 @@ def _fit_traced(
             "fit: under jit, vmap or grad it takes one array as photo, loss='linear', no priors "
             "and no blur; call it outside of them for more"
         )
-    with jax.ensure_compile_time_eval():  # inside jit, JAX's operations on layers would trace
-        layers = jax.tree.map(np.asarray, _as_needed(layers, type(look)))
+    layers = only_needed(layers, look.NEEDS)
+    layers = jax.tree.map(np.asarray, layers)  # inside jit, JAX's operations on them would trace
     known = concrete(look, response)
     parameters = declare(known[0], [known[1]], free=free, bounds=bounds, tied=tied)
     make_solver(solver)
     shown = np.ones(np.shape(photo))  # any picture: which pixels may be used is the layers' affair
     used = choose_pixels(shown, layers, check_sampling(sampling), check_where(where)).used
     return fit_traced(photo, layers, look, response, parameters, used, solver)
-
-
-def _as_needed(layers: Layers, kind: type[Look]) -> Layers:
-    """The layers with what looks of a kind ask for, and without what they do not."""
-    return with_ground(only_needed(layers, kind.NEEDS), kind)
 
 
 def _fit(task: Task, where: Where) -> FitResult:
@@ -239,7 +233,8 @@ def _fit(task: Task, where: Where) -> FitResult:
 
     widths = expected_blurs(task)
     columns = take(widths)
-    task = replace(task, parameters=within_scene(task.parameters, columns))
+    parameters = within_scene(task.parameters, columns)
+    task = replace(task, parameters=one_in_grey(parameters, columns, kind.GROUND))
     asked, left_out = leave_out(task, columns)
     why_not = why_no_data(task, pixels, columns, asked)
     if why_not:

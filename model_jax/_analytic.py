@@ -48,9 +48,8 @@ def analytic_layers(
     Returns:
         Eye depths relative to the planet's centre, [h, w] each, clamped to [near, far]; shadow
         layers only when the scene has a sun, [n, h, w] with occluders: the planet's, then theirs;
-        `surface` only when the planet's albedo is a colour, or the look says how bright the planet
-        is (`Look.GROUND`): Lambert's light, albedo × the cosine of the sun's angle to the normal,
-        without a sun the albedo itself.
+        `surface` only when the planet's albedo is a colour: Lambert's light, albedo × the cosine of
+        the sun's angle to the normal, without a sun the albedo itself.
         Rays follow DESIGN "ray–sphere, ray–cone".
 
     Raises:
@@ -70,18 +69,17 @@ def analytic_layers(
     shaded = look is None or uses_shadow(look.NEEDS)
     seen = view if shaded else replace(view, cones=())
     front, back, planet, *shadow = trace_view(seen, camera.height, camera.width)
-    if albedo is None and look is not None and look.GROUND:
-        albedo = WHITE
     surface = None
     if isinstance(albedo, tuple):
-        surface = _lambert(albedo, view, (camera.height, camera.width), dtype)
+        light = partial(_light, np.asarray(albedo, dtype))
+        (surface,) = _of_all_pixels(light, view, camera.height, camera.width)
     scale = namespace(front).asarray(radius, front.dtype)
     return Layers(
         front=jnp.asarray(front * scale),
         back=jnp.asarray(back * scale),
         shadow_front=jnp.asarray(shadow[0] * scale) if shadow else None,
         shadow_back=jnp.asarray(shadow[1] * scale) if shadow else None,
-        surface=surface,
+        surface=None if surface is None else jnp.moveaxis(jnp.asarray(surface), 0, -1),
         planet=jnp.asarray(planet),
         color=scene.atmosphere.color,
         reference=eye_center(scene)[2],
@@ -91,38 +89,6 @@ def analytic_layers(
         if scene.atmosphere.path == "distance"
         else None,
     )
-
-
-WHITE = (1.0, 1.0, 1.0)
-"""Albedo of ground, where only a look says how bright it is."""
-
-
-def with_ground(layers: Layers, kind: type[Look]) -> Layers:
-    """The layers, with light of white ground if looks of a kind say how bright it is and the layers
-    do not.
-
-    Raises `InputError` if they do not know where the ground is.
-    """
-    if not kind.GROUND or layers.surface is not None:
-        return layers
-    if layers.view is None:
-        raise InputError(
-            "layers: bring no light of the planet and do not tell how rays pass it, which the look "
-            f"asks for (its parameter {kind.GROUND}); give layers with a surface, layers of a "
-            "scene, or another look"
-        )
-    dtype = jnp.asarray(layers.front).dtype
-    surface = _lambert(WHITE, layers.view.astype(dtype), np.shape(layers.front), dtype)
-    return replace(layers, surface=surface)
-
-
-def _lambert(
-    albedo: tuple[float, ...], view: View, size: tuple[int, ...], dtype: DTypeLike
-) -> Float[jax.Array, "h w 3"]:
-    """Light of a planet of one colour; the view is of that dtype."""
-    light = partial(_light, np.asarray(albedo, dtype))
-    (found,) = _of_all_pixels(light, view, *size)
-    return jnp.moveaxis(jnp.asarray(found), 0, -1)
 
 
 def ray_stretch(scene: Scene) -> Float[np.ndarray, "h w"]:

@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ._analytic import with_ground
 from ._errors import InputError
 from ._fields import Fields, fields_of
 from ._kinds import as_jax, need
@@ -128,15 +127,13 @@ def combine(layers: Layers, look: Look) -> Rgba:
 
 
 def composite(layers: Layers, look: Look) -> Rgba:
-    """The picture: surface · transmittance + air + background, and the coverage of both.
+    """The picture: surface · ground · transmittance + air + background, and the coverage of both.
 
     Returns:
-        Linear light [h, w, 4]. Without a surface layer the planet is black, unless the look says
-        how bright it is (`Look.GROUND`); alpha is 1 in front of the planet where the layers know
-        it, else the air's.
+        Linear light [h, w, 4]. Without a surface layer the planet is black; alpha is 1 in front of
+        the planet where the layers know it, else the air's.
     """
     air, alpha = _air(layers, look)
-    layers = with_ground(layers, type(look))
     dtype = air.light.dtype
     background = jnp.asarray(look.background, dtype).reshape(1, 1, -1)
     surface = None if layers.surface is None else jnp.asarray(layers.surface, dtype)

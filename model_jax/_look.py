@@ -133,9 +133,8 @@ class Look(eqx.Module):
     a number, and perhaps factors with a mean of one. A fit then solves for them, and its starts
     differ in the others only."""
     GROUND: ClassVar[str] = ""
-    """Parameter, three numbers ≥ 0, that light of what lies behind the air is multiplied by before
-    the air dims it. Of a scene that tells no light of its planet that is then Lambert's, of an
-    albedo of 1."""
+    """Parameter, a colour ≥ 0, that light of what lies behind the air is multiplied by before the
+    air dims it; not the shader's business. Empty: nothing is."""
     TERMS: ClassVar[dict[str, str]] = {}
     """What may be added to it (`with_terms`), by name, and what that does."""
     TERM_NEEDS: ClassVar[dict[str, tuple[str, ...]]] = {}
@@ -226,8 +225,10 @@ def broadcast(look: L, rank: int, dtype: DTypeLike) -> L:
 
 
 def light_of(kind: type[Look]) -> str:
-    """What looks of a kind make of the air, in a line: the first of its docstring."""
-    return (kind.__doc__ or "").strip().split("\n")[0]
+    """What looks of a kind make of the air, in a line: the first of its docstring; and what
+    multiplies the light behind it."""
+    line = (kind.__doc__ or "").strip().split("\n")[0]
+    return f"{line} `{kind.GROUND}` multiplies the light behind it." if kind.GROUND else line
 
 
 def look_record(look: Look) -> dict[str, Any]:

@@ -34,9 +34,9 @@ SUNK = 30.0
 """Scale heights below the mean radius beyond which no ray meets denser air: nothing is left of the
 sun's, and squares of its exponential exist in float32."""
 
-ON_GROUND = 0.999
-"""Share of the shell's height below which a ray ends on the ground: others end at the shell's, to
-some ulp of the radius."""
+ON_GROUND = 0.5
+"""Share of the shell's height below which a ray ends on the ground, if it passes its nearest point:
+before that nothing else ends it, and behind it shells of a mesh are lower than they should be."""
 
 
 def sun_column(

@@ -23,7 +23,7 @@ class Frame:
     shadows: Float[np.ndarray, "n 2 h w"]
     """What it read of each shadow that was drawn: front and back."""
     surface: Float[np.ndarray, "h w 3"] | None
-    """Light of the planet; None where nobody says how bright it is."""
+    """Light of the planet; None where it has no albedo."""
     planet: Float[np.ndarray, "h w"]
     """1 where the planet was drawn."""
     transmittance: Float[np.ndarray, "h w 3"] | None = None

@@ -70,7 +70,7 @@ def look_text(kind: type[Look]) -> str:
             f"look {kind.NAME}: the parameter {name} has a name that airlight's shaders use; give "
             "it another"
         )
-    for name in declared.keys() - wanted.keys():
+    for name in declared.keys() - wanted.keys() - {kind.GROUND}:
         raise InputError(f"{where} has a uniform {name}, which is no parameter of the look")
     if not re.search(r"\bvec3\s+air\s*\(", bare):
         raise InputError(f"{where} defines no function `{AIR}`; add it")

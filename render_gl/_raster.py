@@ -110,7 +110,7 @@ class Passes:
         air = np.empty((*size, 4), np.float32)
         front, back = np.empty(size, np.float32), np.empty(size, np.float32)
         shadows = np.empty((len(self.cones), 2, *size), np.float32)
-        lit = "ALBEDO" in self.defines
+        lit = self.scene.planet.albedo is not None
         surface = np.empty((*size, 3), np.float32) if lit else None
         planet = np.empty(size, np.float32)
         passed = np.empty((*size, 3), np.float32) if self.transmits else None

@@ -41,9 +41,9 @@ def render(
         look: what the layers are for: shadows are drawn only if it needs them; None: in any case.
 
     Returns:
-        float32 layers [h, w] with the planet's mask, and `surface` when the planet has an albedo or
-        the look says how bright it is; no shadow layers when no air in view is in shadow;
-        `width_error` where a mesh is in them, that is of ground with relief and of "mesh".
+        float32 layers [h, w] with the planet's mask, and `surface` when the planet has an albedo;
+        no shadow layers when no air in view is in shadow; `width_error` where a mesh is in them,
+        that is of ground with relief and of "mesh".
 
     Raises:
         DriverError: no usable OpenGL. InputError: what cannot be drawn, by name.

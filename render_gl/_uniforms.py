@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from model_jax import Camera, Encoding, Look, Scene, Sun, depth_constants, eye_center
-from model_jax._analytic import WHITE
 from model_jax._column import DEEPEST, NODES, REACH, SERIES_DEPTH, SHARES, STEEPEST
 from model_jax._phase import NEAREST
 from model_jax._sun_column import HIGH_SUN, LOW_SUN, ON_GROUND, SUNK, TAIL_FACTORS, TAIL_RATE
@@ -61,7 +60,7 @@ def uniforms_of(scene: Scene, encoding: Encoding) -> dict[str, Any]:
         "series_depth": SERIES_DEPTH,
         "shell_height": float(scene.atmosphere.height),
         "color": tuple(np.asarray(scene.atmosphere.color)),
-        "planet_color": albedo if isinstance(albedo, tuple) else WHITE,
+        "planet_color": albedo if isinstance(albedo, tuple) else (0.0, 0.0, 0.0),
         "relief_scale": relief_scale(scene),
         "sun": (0.0, 0.0, 0.0) if scene.sun is None else tuple(np.asarray(scene.sun.direction)),
         "sun_in_view": (0.0, 0.0, 0.0) if scene.sun is None else tuple(basis @ scene.sun.direction),
@@ -117,7 +116,7 @@ def defines_of(scene: Scene, kind: type[Look], storage: Storage, shadows: int) -
         "STRETCH": scene.atmosphere.path == "distance",
         "SUN": scene.sun is not None,
         "OCCLUDERS": len(scene.occluders),
-        "ALBEDO": scene.planet.albedo is not None or bool(kind.GROUND),
+        "ALBEDO": scene.planet.albedo is not None,
         "TEXTURE": isinstance(scene.planet.albedo, str),
         "RELIEF": scene.planet.relief is not None,
     }

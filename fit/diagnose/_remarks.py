@@ -72,6 +72,8 @@ def _why_without_field(
     """Why a parameter of a field has no effect, or none of its own; None where it has."""
     about = type(task.look).PARAMETERS[family]
     assert about.of is not None
+    if family == type(task.look).GROUND:
+        return _why_no_ground(task, columns)
     field = FIELDS[about.of]
     if field.of_shadow and field.absent and not any(la.has_shadow for la in task.layers):
         return field.absent
@@ -86,6 +88,20 @@ def _why_without_field(
         return None
     unseen = FIELDS[fact.first].unseen
     return f"{unseen}, so only {fact.amplitude} × {family} is told; {family} is held"
+
+
+def _why_no_ground(task: Task, columns: Sequence[Columns]) -> str | None:
+    """Why a factor on the light of what lies behind the air has no effect; None where it has."""
+    if any(c.surface is not None and c.stencil is None for c in columns):
+        return None
+    if task.blurs:
+        return "with a blur the planet's light is the photo's own"
+    if all(la.surface is None for la in task.layers):
+        return (
+            "the layers do not tell the light of the planet; give it an albedo, [1, 1, 1] if "
+            "nobody knows it"
+        )
+    return "behind no pixel used is lit ground"
 
 
 def _shows(columns: Sequence[Columns], name: str) -> bool:
@@ -132,7 +148,7 @@ def _remedy(pixels: Pixels) -> str:
         return ""
     return (
         ": all air lies in front of a planet whose light is not known; give the planet one colour, "
-        "[planet] albedo = [0, 0, 0] for a dark one"
+        "[planet] albedo = [0, 0, 0] for a dark one, [1, 1, 1] and a look with ground for any"
     )
 
 

@@ -72,6 +72,22 @@ def within_scene(
     return tuple(within(p) for p in parameters)
 
 
+def one_in_grey(
+    parameters: Sequence[FitParameter], columns: Sequence[Columns], family: str
+) -> tuple[FitParameter, ...]:
+    """The parameters; where all photos are grey the free channels of a family are one number, if
+    they start as one."""
+    members = [p for p in parameters if p.family == family and p.role == "free"]
+    grey = bool(columns) and all(len(c.copies) == 2 for c in columns)
+    alike = len({(p.value, p.lower, p.upper, p.prior) for p in members}) == 1
+    if not grey or not alike:
+        return tuple(parameters)
+    first, others = members[0], members[1:]
+    return tuple(
+        replace(p, role="tied", tied_to=first.name) if p in others else p for p in parameters
+    )
+
+
 def _shortest(columns: Sequence[Columns]) -> float:
     """The least length that blurred photos tell from 0; 0 of sharp ones."""
     found = 0.0

@@ -78,7 +78,7 @@ def _parameters(term: str) -> dict[str, tuple[Any, Any]]:
         return {"aerosol": (Scalar, aerosol), "asymmetry": (Scalar, asymmetry)}
     if term == "ground":
         about = parameter(
-            "factor on the ground's light; its albedo, if the scene gives none",
+            "factor on the light of the ground: its albedo where the scene gives 1",
             lower=0.0,
             default=(1.0, 1.0, 1.0),
             shape="rgb",
@@ -136,10 +136,10 @@ class AirLook(Look):
         "density-rgb": "the same, each channel with its own scale height",
         "top": "air ends below the shell's height",
         "saturation": "air dims its own light and what lies behind it",
-        "sun": "sunlight is dimmed on its way to the air, more the lower the sun",
+        "sun": "sunlight is dimmed on its way to air and ground, more the lower the sun",
         "upwelling": "ground and clouds below throw light up into the air where the sun is up",
         "phase": "light is scattered more into some directions than into others",
-        "ground": "ground behind the air is as bright as the look says",
+        "ground": "ground behind the air is brighter or darker than the scene says",
     }
     TERM_NEEDS: ClassVar[dict[str, tuple[str, ...]]] = {
         "sun": ("density",),
@@ -223,7 +223,7 @@ class AirLook(Look):
             self.scale_height,
         )
         passed = jnp.exp(-self.extinction * fields.per_length * column)
-        return jnp.where(height < ON_GROUND * fields.shell, passed, 1)
+        return jnp.where((fields.end < 0) | (height < ON_GROUND * fields.shell), passed, 1)
 
     def _places(self, fields: Fields) -> tuple[Span, Span | None]:
         """Where on the ray the shell's air begins and ends, and the shadow in it, if there is

@@ -82,6 +82,11 @@ def _check_record(kind: type[Look]) -> None:
         raise InputError(
             f"parameters of mean one are {', '.join(shares)}; there may be one, of shape 'rgb'"
         )
+    ground = kind.PARAMETERS.get(kind.GROUND)
+    if kind.GROUND and (ground is None or ground.shape != "rgb" or ground.lower < 0):
+        raise InputError(
+            f"GROUND: {shown(kind.GROUND)} must be a parameter of shape 'rgb', at least 0"
+        )
     for name, about in kind.PARAMETERS.items():
         if about.of is not None and about.of not in kind.NEEDS:
             raise InputError(f"parameter {name} is of {shown(about.of)}, which NEEDS does not name")

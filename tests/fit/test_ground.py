@@ -15,7 +15,8 @@ from model_jax import Look, Planet, Response, Scene, analytic_layers, composite,
 from tests.model_jax.scenes import RADIUS, scene_of
 
 LOOK = find_look("air+saturation+ground")
-SCENE = scene_of((0.0, -3.0, 0.4), sun=(0.5, -0.6, 0.2), size=(65, 49), fov=45.0, shell=0.1)
+BARE = scene_of((0.0, -3.0, 0.4), sun=(0.5, -0.6, 0.2), size=(65, 49), fov=45.0, shell=0.1)
+SCENE = replace(BARE, planet=Planet(RADIUS, albedo=(1.0, 1.0, 1.0)))
 TRUE: dict[str, Any] = {
     "extinction": (2.0, 5.0, 11.0),
     "brightness": 2.5,
@@ -33,11 +34,11 @@ def photo_of(scene: Scene, look: Look) -> np.ndarray:
     return light + noise.astype(np.float32)
 
 
-@pytest.mark.parametrize("albedo", [None, (0.9, 0.5, 0.3)])
+@pytest.mark.parametrize("albedo", [(1.0, 1.0, 1.0), (0.9, 0.5, 0.3)])
 def test_the_ground_of_a_photo_is_found_beside_its_air(
-    albedo: tuple[float, float, float] | None,
+    albedo: tuple[float, float, float],
 ) -> None:
-    """With a scene's own albedo the factor on it. Four standard errors of a Gaussian are passed by
+    """Its albedo, or the factor on the scene's. Four standard errors of a Gaussian are passed by
     one of 16,000 values."""
     scene = replace(SCENE, planet=Planet(RADIUS, albedo=albedo))
     photo = photo_of(scene, LOOK(**TRUE))
@@ -60,7 +61,29 @@ def test_of_a_ring_the_ground_is_left_out_with_a_word() -> None:
     assert found.verdict == "converged", found.message
     assert {found.parameters[f"ground.{c}"].role for c in "rgb"} == {"held"}
     said = {left.what: left.why for left in found.left_out}
-    assert said["ground"] == "no pixel used is in front of the planet"
+    assert said["ground"] == "behind no pixel used is lit ground"
+
+
+def test_of_a_planet_whose_light_nobody_tells_the_ground_is_left_out_with_a_word() -> None:
+    photo = photo_of(BARE, LOOK(**TRUE))
+    found = fit(photo, analytic_layers(BARE), LOOK(), sampling="point")
+    (left,) = (one for one in found.left_out if one.what == "ground")
+    assert "give it an albedo, [1, 1, 1] if nobody knows it" in left.why
+    assert found.photos[0].excluded["planet without a surface layer"] > 0
+
+
+def test_of_a_grey_photo_the_ground_is_one_number() -> None:
+    look = find_look("air+ground")
+    given = {name: TRUE[name] for name in ("brightness", "shadow", "background", "ground")}
+    light = photo_of(SCENE, look(**given)).astype(np.float64) @ [0.2126, 0.7152, 0.0722]
+    grey = np.repeat(light[..., None], 3, axis=-1)
+    found = fit(grey, analytic_layers(SCENE), look(), sampling="point")
+    assert found.verdict == "converged", found.message
+    ground = found.parameters["ground.r"]
+    assert ground.stderr is not None
+    # A grey planet of the luminance of the true one, for white light.
+    assert abs(ground.value - np.dot(TRUE["ground"], [0.2126, 0.7152, 0.0722])) < 4 * ground.stderr
+    assert {found.parameters[f"ground.{c}"].role for c in "gb"} == {"tied"}
 
 
 def test_the_ground_and_the_exposure_are_one() -> None:

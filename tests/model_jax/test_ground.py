@@ -1,4 +1,4 @@
-"""Ground behind the air: as bright as a look says, lit through the air, else white."""
+"""Ground behind the air: brighter or darker than the scene says, lit through the air."""
 
 from dataclasses import replace
 
@@ -10,11 +10,13 @@ import pytest
 from model_jax import InputError, Look, Planet, Scene, analytic_layers, composite, find_look
 from model_jax._composite import air_light
 from model_jax._fields import fields_of
+from model_jax.looks._check import check_look
 
 from .scenes import RADIUS, scene_of
 from .test_sunlight import to_sun
 
 SCENE = scene_of((0.0, -3.0, 0.4), sun=(0.5, -0.6, 0.2), shell=0.05)
+WHITE = replace(SCENE, planet=Planet(RADIUS, albedo=(1.0, 1.0, 1.0)))
 GROUND = (0.2, 0.3, 0.5)
 ONE = np.ones(3, np.float32)
 
@@ -23,40 +25,32 @@ def look_of(terms: str, **values: object) -> Look:
     return find_look(f"air+{terms}")(**values)
 
 
-@pytest.mark.parametrize("terms", ["ground", "density+ground", "saturation+ground"])
-def test_ground_of_a_look_is_the_albedo_of_a_scene_without_one(terms: str) -> None:
-    """A product in another order: some roundings of float32."""
-    said = composite(analytic_layers(SCENE), look_of(terms, ground=GROUND))
+@pytest.mark.parametrize("terms", ["", "density", "saturation"])
+def test_ground_is_a_factor_on_the_light_behind(terms: str) -> None:
+    """As an albedo of the same would be: a product in another order, some roundings of float32."""
+    plain = "+".join(["air", *terms.split()])
+    said = composite(analytic_layers(WHITE), find_look(f"{plain}+ground")(ground=GROUND))
     coloured = replace(SCENE, planet=Planet(RADIUS, albedo=GROUND))
-    given = composite(analytic_layers(coloured), look_of(terms.removesuffix("+ground")))
-    if terms == "ground":
-        given = composite(analytic_layers(coloured), find_look("air")())
+    given = composite(analytic_layers(coloured), find_look(plain)())
     np.testing.assert_allclose(said, given, rtol=1e-6)
     assert float(np.max(said)) > 0.1
 
 
-def test_ground_of_a_look_is_a_factor_on_a_scenes_own() -> None:
-    coloured = replace(SCENE, planet=Planet(RADIUS, albedo=(0.5, 0.4, 0.2)))
-    layers, look = analytic_layers(coloured), look_of("saturation+ground", brightness=0.0)
-    other = look_of("saturation+ground", brightness=0.0, ground=GROUND)
-    one, two = (np.asarray(composite(layers, each)) for each in (look, other))
-    np.testing.assert_allclose(two[..., :3], one[..., :3] * np.array(GROUND, "f4"), rtol=1e-6)
+def test_without_light_of_the_planet_it_stays_black() -> None:
+    layers = analytic_layers(SCENE)
+    one, other = (composite(layers, find_look(f"air{t}")()) for t in ("", "+ground"))
+    np.testing.assert_array_equal(one, other)
 
 
-def test_layers_made_for_a_look_bring_the_ground_that_composite_would_add() -> None:
-    look = look_of("density+ground")
-    made = analytic_layers(SCENE, look=look)
-    assert made.surface is not None
-    assert analytic_layers(SCENE).surface is None
-    np.testing.assert_array_equal(composite(made, look), composite(analytic_layers(SCENE), look))
+@pytest.mark.parametrize("name", ["brightness", "unknown", "top"])
+def test_a_factor_that_is_none_is_refused(name: str) -> None:
+    class Wrong(find_look("air+top")):  # type: ignore[misc]
+        """Wrong."""
 
+        GROUND = name
 
-def test_without_a_view_ground_is_asked_for() -> None:
-    bare = replace(analytic_layers(SCENE), view=None)
-    with pytest.raises(InputError, match=r"which the look asks for.*parameter ground.*surface"):
-        composite(bare, look_of("ground"))
-    surface = jnp.ones((*bare.front.shape, 3), jnp.float32)
-    assert composite(replace(bare, surface=surface), look_of("ground")).shape[-1] == 4
+    with pytest.raises(InputError, match=r"GROUND: .* must be a parameter of shape 'rgb'"):
+        check_look(Wrong)
 
 
 @pytest.mark.usefixtures("x64")
@@ -66,6 +60,7 @@ def test_sunlight_reaches_the_ground_through_the_air() -> None:
     way to 1e-3."""
     scale, extinction, shell = 0.02 * RADIUS, (2.0, 6.0, 20.0), 0.2
     scene = scene_of((0.0, -3.0, 0.4), sun=(0.7, -0.3, 0.2), shell=shell, path="distance")
+    scene = replace(scene, planet=Planet(RADIUS, albedo=(1.0, 1.0, 1.0)))
     look = look_of(
         "density+saturation+sun+ground", scale_height=scale, extinction=extinction, brightness=0.0
     )
@@ -121,7 +116,7 @@ def test_what_lies_behind_the_air_of_the_night_passes_it() -> None:
 
 
 def test_slopes_by_the_ground_are_finite_at_its_bound() -> None:
-    layers = analytic_layers(SCENE)
+    layers = analytic_layers(WHITE)
     look = look_of("density+saturation+sun+ground", ground=(0.0, 0.0, 0.0))
 
     def total(look: Look) -> jax.Array:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model_jax import InputError, Planet, Scene, analytic_layers, combine, composite, find_look
+from model_jax import InputError, Planet, Scene, combine, composite, find_look
 from render_gl import (
     check_scene,
     read_channels,
@@ -17,6 +17,7 @@ from render_gl import (
     write_channels,
     write_layers,
 )
+from render_gl._draw import draw
 from tests.model_jax.scenes import PLACES, RADIUS, SHAPES, scene_of
 
 VALUES: dict[str, dict[str, Any]] = {
@@ -127,7 +128,7 @@ def test_a_fault_of_a_percent_in_a_parameter_is_caught(
     assert not parity.passed
 
 
-@pytest.mark.parametrize("albedo", [None, (0.5, 0.4, 0.2), TEXTURE])
+@pytest.mark.parametrize("albedo", [(0.5, 0.4, 0.2), TEXTURE])
 @pytest.mark.parametrize("terms", ["ground", "density+saturation+sun+ground"])
 def test_ground_is_drawn_as_composite_says(terms: str, albedo: Any) -> None:
     """What the frame buffer adds is what JAX adds: two roundings of each product more than in the
@@ -144,17 +145,15 @@ def test_ground_is_drawn_as_composite_says(terms: str, albedo: Any) -> None:
     assert (apart <= bound + 4e-7 * picture[..., :3]).all()
 
 
-def test_without_an_albedo_only_looks_with_ground_light_it() -> None:
-    assert render(limb(DAY), look=find_look("air+density")()).surface is None
-    surface = render(limb(DAY), look=find_look("air+ground")()).surface
-    exact = analytic_layers(limb(DAY), look=find_look("air+ground")()).surface
-    assert surface is not None
-    assert exact is not None
-    # Where both see ground. Along the ray a float32 place is off by some ulp over the cosine of its
-    # angle to the normal, which half a pixel from the limb is √(2 · 0.0013).
-    both = (np.asarray(surface) > 0) & (np.asarray(exact) > 0)
-    assert both.mean() > 0.1
-    np.testing.assert_allclose(surface[both], np.asarray(exact)[both], atol=1e-5)
+@pytest.mark.parametrize("source", ["raster", "mesh"])
+def test_what_lies_behind_the_air_at_night_passes_it(source: Any) -> None:
+    """The sun's way dims the ground alone, also where a mesh's shell is lower than it should be."""
+    scene = replace(limb(), atmosphere=replace(limb().atmosphere, height=0.01 * RADIUS))
+    look = find_look("air+density+sun")(extinction=(500.0, 1000.0, 2000.0))
+    frame = draw(scene, look, "linear", source)
+    assert frame.transmittance is not None
+    np.testing.assert_array_equal(frame.transmittance[frame.planet == 0], 1)
+    assert frame.transmittance[frame.planet == 1].min() < 0.01
 
 
 def test_a_file_of_layers_keeps_its_view(tmp_path: Any) -> None:

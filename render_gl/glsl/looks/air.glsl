@@ -112,7 +112,8 @@ vec3 air(Fields fields, inout float alpha, inout vec3 transmittance) {
     vec2 place = place_at(fields.end, fields.altitude, fields.impact);
     float sunward = clamp(fields.sunward + fields.end * fields.sun_cos, -place.y, place.y);
     // Of rays that leave the air what lies behind them has a light of its own.
-    for (int c = 0; c < 3 && place.x < on_ground * fields.shell; c++)
+    bool ends = fields.end < 0.0 || place.x < on_ground * fields.shell;
+    for (int c = 0; c < 3 && ends; c++)
         transmittance[c] = exp(-extinction[c] * fields.per_length *
             sun_column_at(sunward, place.y, place.x, top_of_air,
 #ifdef TERM_DENSITY_RGB
