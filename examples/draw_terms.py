@@ -54,7 +54,7 @@ EXPOSURE = 1.2
 WHITE = (1.0, 1.0, 1.0)
 SUN = np.array([1.0, 0.0, 0.0])
 PLACE = np.array([0.9, -2.4, 0.5])
-"""Of the camera, planet radii: a quarter of what it sees is night."""
+"""Of the camera, planet radii: a third of what it sees is night."""
 
 
 def limb_at_terminator() -> np.ndarray:
