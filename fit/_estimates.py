@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ._result import Estimate, PhotoResult
+from ._of_photo import Alignment, PhotoResult
+from ._result import Estimate
 from ._verdict import MOST_CLIPPED, STRUCTURED_PX
 from .diagnose._compression import Debiased, undo_compression
 from .diagnose._evidence import BELIEVED, Evidence, belief_in, explained_share, square_sum_of
@@ -150,6 +151,7 @@ def photo_results(
     end: End,
     pixels: Sequence[Pixels],
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
+    alignments: Sequence[Alignment | None],
 ) -> list[PhotoResult]:
     """What each photo says of the end point."""
     found = []
@@ -175,6 +177,7 @@ def photo_results(
                 else None,
                 response=response,
                 width_unit=float(layers.width_unit),
+                alignment=alignments[number],
             )
         )
     return found

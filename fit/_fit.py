@@ -30,6 +30,7 @@ from ._memory import bound_programs, give_back
 from ._result import FitResult
 from ._rounds import make_problem, search_in_rounds
 from ._traced import TracedFit, concrete, fit_traced
+from .diagnose._alignment import alignment_of
 from .diagnose._remarks import leave_out, pixel_remarks, why_airless, why_no_data
 from .diagnose._residuals import residuals_of
 from .photo._columns import Columns, PhotoLike, planet_light, take_columns
@@ -256,10 +257,11 @@ def _fit(task: Task, where: Where) -> FitResult:
     times.append(perf_counter())
     residuals = residuals_of(problem, end.vector)
     evidence = evidence_of(task, problem, end, residuals)
-    photos = photo_results(task, problem, end, pixels, residuals)
+    aligned = [alignment_of(p, la) for p, la in seen]
+    photos = photo_results(task, problem, end, pixels, residuals, aligned)
     airless = why_airless(task, pixels, columns, evidence, photos)
     if all(airless):
-        result = without_data(str(airless[0]), task, pixels, columns, left_out)
+        result = without_data(str(airless[0]), task, pixels, columns, left_out, aligned)
     else:
         # Last, for it takes seconds, and nothing else asks what JPEG did.
         debiased = debias_jpeg(evidence, residuals) if evidence and task.jpeg == "undo" else None

@@ -15,7 +15,8 @@ from ._estimates import (
     layer_errors,
     rounding_bias,
 )
-from ._result import Errors, Estimate, FitResult, LeftOut, Misfit, PhotoResult
+from ._of_photo import Alignment, PhotoResult
+from ._result import Errors, Estimate, FitResult, LeftOut, Misfit
 from ._rounds import ROUNDING, noise_of
 from ._verdict import VERDICTS, Verdict
 from .diagnose._compression import Debiased
@@ -254,6 +255,7 @@ def without_data(
     pixels: Sequence[Pixels],
     columns: Sequence[Columns],
     left_out: list[LeftOut],
+    alignments: Sequence[Alignment | None] | None = None,
 ) -> FitResult:
     """The start look, with the reason that nothing was fitted."""
     sentence, remedy = VERDICTS[Verdict.NO_DATA]
@@ -269,9 +271,15 @@ def without_data(
             structure=None,
             response=response,
             width_unit=float(layers.width_unit),
+            alignment=alignment,
         )
-        for px, c, layers, response in zip(
-            pixels, columns, task.layers, to_responses(start, task.layout), strict=True
+        for px, c, layers, response, alignment in zip(
+            pixels,
+            columns,
+            task.layers,
+            to_responses(start, task.layout),
+            alignments or [None] * len(pixels),
+            strict=True,
         )
     ]
     result = FitResult(

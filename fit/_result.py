@@ -16,6 +16,7 @@ from model_jax._look import look_record
 from model_jax._parameter import PER_UNIT
 
 from ._numbers import measured, number
+from ._of_photo import PhotoResult
 
 
 @dataclass(frozen=True)
@@ -91,49 +92,6 @@ class Misfit:
     """Share of the variance left over that goes with it."""
     chance: float
     """That noise looks like it."""
-
-
-@dataclass(frozen=True)
-class PhotoResult:
-    """What one photo had to say."""
-
-    used: Bool[np.ndarray, "h w"]
-    """Which pixels were used."""
-    excluded: dict[str, int]
-    """Reason → pixels, each pixel once."""
-    clipped: int
-    """Samples, of three to a used pixel, that tell a bound only: at the highest or lowest code."""
-    residual_rms: float
-    """Over measured samples, linear light; NaN without data."""
-    explained: float | None
-    """1 - Σ(y - ŷ)² / Σ(y - mean of the channel)² over all used pixels and channels, linear light,
-    dark codes included; without what a robust loss dismissed as no light of the air. None without
-    variance."""
-    structure: float | None
-    """Root mean square of what is left over and hangs together, over that of what the air changes
-    in the picture; None without air."""
-    response: Response
-    """The fitted one."""
-    mix: Float[np.ndarray, "3 3"] | None
-    """What each channel of a grey photo shows of red, green and blue; else None."""
-    width_unit: float
-    """Scene length that widths of these layers are divided by (far - near)."""
-
-    @property
-    def measured(self) -> int:
-        """Samples that tell their light: neither clipped nor copies."""
-        channels = 3 if self.mix is None else len(np.unique(self.mix, axis=0))
-        return channels * int(self.used.sum()) - self.clipped
-
-    @property
-    def pixels(self) -> dict[str, Any]:
-        """`{"used", "total", "excluded"}`; used and excluded add up to total."""
-        return {
-            "used": int(self.used.sum()),
-            "total": int(self.used.size),
-            "excluded": dict(self.excluded),
-            "clipped_samples": self.clipped,
-        }
 
 
 @dataclass(frozen=True)
@@ -356,7 +314,9 @@ class FitResult:
             "structure": _number(self.structure),
             "pixels": self.pixels,
             "photos": [
-                {"pixels": p.pixels} | {n: _number(getattr(p, n)) for n in _OF_PHOTO}
+                {"pixels": p.pixels}
+                | {n: _number(getattr(p, n)) for n in _OF_PHOTO}
+                | {"alignment": None if p.alignment is None else p.alignment.to_dict()}
                 for p in self.photos
             ],
             "left_out": [vars(item) for item in self.left_out],

@@ -30,6 +30,7 @@ from model_jax import (
     analytic_layers,
     find_look,
 )
+from model_jax._errors import printable
 from render_gl._files import path_text
 
 from .._choices import (
@@ -42,14 +43,17 @@ from .._choices import (
     check_where,
 )
 from .._fit import fit
+from .._judge import with_warnings
 from .._memory import give_back, map_large_blocks
 from .._result import FitResult
+from ..diagnose._alignment import misaligned
 from ..photo._read import load_photo
 from ..report._fitted import SCHEMA
 from ..report._report import report_html
 from ..solve._declare import declare
 from ..solve._layout import Layout
 from ..solve._parameters import to_entries, to_look, to_responses
+from ._aligned import aligned_camera, camera_lines
 from ._outputs import prepare_folder, remove, versions, write_text
 from ._written import PhotoView, write_maps, write_photo
 
@@ -146,6 +150,7 @@ def run_job(
         max_steps=job.max_steps,
     )
     seconds |= result.seconds
+    result = with_warnings(result, _corrections(views, result))
 
     progress("writing the report")
     started = time.perf_counter()
@@ -166,6 +171,16 @@ def run_job(
     text = json.dumps(document, indent=2, allow_nan=False) + "\n"
     render_gl.write_whole(folder / "fit.json", lambda path: write_text(path, text))
     return result, document
+
+
+def _corrections(views: Sequence[PhotoView], result: FitResult) -> list[str]:
+    """The cameras with which misaligned scenes would meet their photos."""
+    return [
+        f"{printable(view.scene_path or '')} meets {printable(view.name)} with "
+        f"{camera_lines(aligned_camera(view.scene, photo.alignment))}."
+        for view, photo in zip(views, result.photos, strict=True)
+        if view.scene is not None and photo.alignment is not None and misaligned(photo.alignment)
+    ]
 
 
 def _asked(job: Job) -> Look:

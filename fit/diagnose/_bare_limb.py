@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ._effective import Part, effective_samples
-from ._limb import Light, Limb, limb_of, normal_distribution
+from ._limb import Light, Limb, Place, glows, limb_of, normal_distribution
 
 EVIDENCE = 10.0
 """Least ΔBIC that tells air: "very strong", odds of 150 to 1 (Kass & Raftery 1995, J. Am. Stat.
@@ -80,10 +80,12 @@ class AirEvidence:
     samples_effective: float
     delta_bic: float
     """BIC(bare) − BIC(shell); above `EVIDENCE` there is air."""
+    glows: bool
+    """The bare limb needs a sky that is brighter beside it than beyond: a ring of even light."""
 
     @property
     def has_air(self) -> bool:
-        return self.delta_bic > EVIDENCE
+        return self.delta_bic > EVIDENCE or self.glows
 
 
 def find_air(
@@ -91,6 +93,8 @@ def find_air(
     planet: Bool[np.ndarray, "h w"],
     used: Bool[np.ndarray, "h w"],
     widths: Sequence[Float[np.ndarray, "h w"]],
+    place: Place = (0.0, 0.0, 0.0),
+    sky: Bool[np.ndarray, "h w"] | None = None,
 ) -> AirEvidence:
     """Does a shell of air explain what a bare limb, blurred by the camera, does not?
 
@@ -99,6 +103,8 @@ def find_air(
         planet: where the planet ends the ray; may be empty.
         used: pixels to explain; those on the planet are left out.
         widths: of air, lit and shadowed (either may be missing), any unit, finite where used.
+        place: of the photo's limb beside the planet's edge, as `align` finds it.
+        sky: pixels beyond the air, if there are any.
     """
     used = used & ~planet
     widths = [width for width in widths if np.any(width[used])]
@@ -106,13 +112,14 @@ def find_air(
         nothing = LimbModel(
             0.0, 8, BLUR_PX[0], (0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0), np.zeros((0, 3))
         )
-        return AirEvidence(nothing, nothing, 1.0, 0.0)
-    limb = limb_of(light, planet, used)
+        return AirEvidence(nothing, nothing, 1.0, 0.0, glows=False)
+    limb = limb_of(light, planet, used, place)
     bare = _best(light, used, (), limb)
     shell = _best(light, used, widths, limb, bare)
     samples = effective_samples(_residual(light, used.shape[1], widths, limb, shell), used, True)
     floor = float(np.finfo(np.float32).eps) ** 2 * _energy(light, used)
-    return AirEvidence(bare, shell, samples, air_evidence(bare, shell, samples, floor))
+    evidence = air_evidence(bare, shell, samples, floor)
+    return AirEvidence(bare, shell, samples, evidence, glows(light, limb, bare.level, sky))
 
 
 def bare_limb(

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from ..photo._photo import Photo
 
 Light = Photo | Float[np.ndarray, "h w 3"]
 """Linear light; of a photo only the parts that are asked for are decoded."""
 _SMOOTH = 5.0
-"""Gaussian, px, by which the distance from the limb and the disc's light next to it are found."""
+"""Gaussian, px, by which the disc's light next to the limb is found."""
 _REACH = 20
 """Its support, four standard deviations."""
 _NEAR = 16.0
@@ -21,8 +22,18 @@ _NEAR = 16.0
 shifted edge."""
 _INSIDE = 4
 """The outermost pixels of the disc do not count as disc: they hold the blurred edge."""
-_TILE = 64
+GLARE = 0.05
+GLARE_NOISE = 3.0
+"""Most by which the sky beside a bare limb is brighter than beyond, as a share of the disc's
+brightest channel, half of what a halo may hold, and in standard deviations of the sky: the Moon's
+is by 0.01."""
+_SKY_PIXELS = 10_000
+TILE = 64
 """Side of the tiles that are blurred, px, beside the support around them."""
+
+
+Place = tuple[float, float, float]
+"""How far a limb lies from the mask's, px: outward, to the right, downward."""
 
 
 @dataclass(frozen=True)
@@ -43,50 +54,42 @@ def limb_of(
     light: Light,
     planet: Bool[np.ndarray, "h w"],
     used: Bool[np.ndarray, "h w"],
+    place: Place = (0.0, 0.0, 0.0),
 ) -> Limb:
     """Distance, normal and the disc's light, which is continued by a Gaussian blur.
 
-    Where the outline is no conic, distance and normal come from the blurred mask: a straight edge
-    blurred by a Gaussian is the normal distribution of the distance from it. A limb of radius R px
-    moves it by about `_SMOOTH² / 2R`, less than the edge's free place; where the limb runs along
-    rows of pixels it is uncertain by half a pixel. Only tiles by the limb are blurred.
+    Distances are from the photo's limb, at a `place` beside the mask's, and pixels within it are
+    left out.
     """
-    outline = _outline(planet)
-    inside = _eroded(planet)
-    smooth, slope = _gaussian(_TILE)
+    outline = outline_of(planet)
+    # What of the mask lies beyond the photo's limb is no disc either.
+    inward = max(0.0, float(np.hypot(*place[1:])) - place[0])
+    inside = _eroded(planet, round(_INSIDE + inward))
+    smooth = _gaussian(TILE)
+    height, width = planet.shape
     found: list[tuple[np.ndarray, ...]] = []
-    for y, x in _limb_tiles(planet, used):
+    for y, x in limb_tiles(planet, used):
+        row, col = np.nonzero(used[y : y + TILE, x : x + TILE])
+        distance, normal = outline.distances(col + x, row + y)
+        distance = distance - place[0] - normal @ np.asarray(place[1:])
         rows, cols = (
-            np.arange(y - _REACH, y + _TILE + _REACH),
-            np.arange(x - _REACH, x + _TILE + _REACH),
+            np.arange(y - _REACH, y + TILE + _REACH),
+            np.arange(x - _REACH, x + TILE + _REACH),
         )
-        height, width = planet.shape
-        # Beyond the frame the mask goes on as at its edge, and no light is known.
+        # Beyond the frame no light is known.
         part = np.ix_(rows.clip(0, height - 1), cols.clip(0, width - 1))
         framed = np.outer((rows >= 0) & (rows < height), (cols >= 0) & (cols < width))
-        mask = planet[part].astype(np.float64)
-        covered = smooth @ mask @ smooth.T
-        distance = -_SMOOTH * np.interp(covered, _CUMULATIVE, _DEVIATE)
-        down, right = slope @ mask @ smooth.T, smooth @ mask @ slope.T
         values = light[part]
         known = inside[part] & framed & np.isfinite(values).all(axis=-1)
-        weight = smooth @ known.astype(np.float64) @ smooth.T
-        here = np.zeros((_TILE, _TILE), dtype=bool)
-        frame = used[y : y + _TILE, x : x + _TILE]
-        here[: frame.shape[0], : frame.shape[1]] = frame
-        here &= (distance < _NEAR) & (weight > 1e-7)
+        weight = (smooth @ known.astype(np.float64) @ smooth.T)[row, col]
+        here = (distance < _NEAR) & (weight > 1e-7)
         if not here.any():
             continue
+        row, col, weight = row[here], col[here], weight[here]
         values = np.where(known[..., None], values, 0).astype(np.float64)
-        disc = [(smooth @ values[..., k] @ smooth.T)[here] / weight[here] for k in range(3)]
-        normal = -np.stack([right[here], down[here]], axis=-1)
-        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
-        row, col = np.nonzero(here)
+        disc = [(smooth @ values[..., k] @ smooth.T)[row, col] / weight for k in range(3)]
         index = (row + y) * width + col + x
-        away = distance[here]
-        if outline is not None:
-            away, normal = _from_conic(outline, col + x, row + y)
-        found.append((index, away, normal, np.stack(disc, axis=-1)))
+        found.append((index, distance[here], normal[here], np.stack(disc, axis=-1)))
     if not found:
         return Limb(np.zeros(0, int), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 3)))
     return Limb(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
@@ -97,7 +100,77 @@ _CUMULATIVE = np.array([NormalDist().cdf(t) for t in _DEVIATE])
 """The normal distribution in steps of 1/200: a line between two is within 1e-6 of it."""
 
 
-def _outline(planet: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "6"] | None:
+def glows(
+    light: Light,
+    limb: Limb,
+    level: tuple[float, float, float],
+    sky: Bool[np.ndarray, "h w"] | None,
+) -> bool:
+    """Whether a level of light by the limb lies above the sky's by more than a lens makes of the
+    disc."""
+    if sky is None or not sky.any():
+        return False
+    y, x = np.nonzero(sky)
+    few = slice(None, None, -(-len(y) // _SKY_PIXELS))
+    beyond = light[y[few], x[few]].astype(np.float64)
+    middle = np.median(beyond, axis=0)
+    noise = 1.4826 * np.median(np.abs(beyond - middle), axis=0)
+    disc = float(np.percentile(limb.disc, 95, axis=0).max()) if len(limb.disc) else 0.0
+    return bool((np.asarray(level) - middle > np.maximum(GLARE * disc, GLARE_NOISE * noise)).any())
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Where a mask ends: a conic, or what the mask itself tells."""
+
+    radius: float
+    """Of the circle that curves as it does, or has as many pixels, px."""
+    conic: Float[np.ndarray, "6"] | None
+    signed: Float[np.ndarray, "h w"] | None
+    """Distance from the mask's edge, px, where that is no conic."""
+
+    def distances(
+        self, x: Int[np.ndarray, " n"], y: Int[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
+        """Distances of pixels, px, positive outside, and normals: right, down."""
+        if self.conic is not None:
+            return _from_conic(self.conic, x, y)
+        assert self.signed is not None
+        height, width = self.signed.shape
+        right = self.signed[y, (x + 1).clip(0, width - 1)] - self.signed[y, (x - 1).clip(0)]
+        down = self.signed[(y + 1).clip(0, height - 1), x] - self.signed[(y - 1).clip(0), x]
+        normal = np.stack([right, down], axis=-1).astype(np.float64)
+        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
+        return self.signed[y, x].astype(np.float64), normal
+
+
+def outline_of(planet: Bool[np.ndarray, "h w"]) -> Outline:
+    """The outline of a mask.
+
+    Where it is no conic, distances are those between pixels' middles, smoothed by 1.5 px: a limb
+    that runs along rows of pixels is uncertain by half a pixel.
+    """
+    conic = _conic(planet)
+    if conic is not None:
+        return Outline(_radius(conic, planet), conic, None)
+    away, within = distance_transform_edt(~planet), distance_transform_edt(planet)
+    signed = np.where(planet, 0.5 - within, away - 0.5).astype(np.float32)
+    return Outline(float(np.sqrt(planet.sum() / np.pi)), None, gaussian_filter(signed, 1.5))
+
+
+def _radius(conic: Float[np.ndarray, "6"], planet: Bool[np.ndarray, "h w"]) -> float:
+    """Radius of curvature of the conic, the mean over its pixels in the picture."""
+    y, x = np.nonzero(planet[:, 1:] != planet[:, :-1])
+    if len(x) < 2:
+        y, x = np.nonzero(planet[1:] != planet[:-1])
+    right = conic[1] + 2 * conic[3] * x + conic[4] * y
+    down = conic[2] + conic[4] * x + 2 * conic[5] * y
+    bend = 2 * (conic[3] * down**2 - conic[4] * right * down + conic[5] * right**2)
+    curvature = float(np.mean(bend / np.maximum(np.hypot(right, down), 1e-30) ** 3))
+    return 1 / max(abs(curvature), 1e-9)
+
+
+def _conic(planet: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "6"] | None:
     """The conic `c · (1, x, y, x², xy, y²)`, positive outside, that parts the planet from space.
 
     Spheres and ellipsoids have such outlines. The shell's width knows the limb's place exactly, and
@@ -150,20 +223,19 @@ def _from_conic(
     return ((start - foot) * normal).sum(axis=-1), normal
 
 
-def _gaussian(size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Matrices [size, size + 2 reach] that blur, and blur and differentiate, along one axis."""
+def _gaussian(size: int) -> np.ndarray:
+    """Matrix [size, size + 2 reach] that blurs along one axis."""
     lag = np.arange(size + 2 * _REACH)[None, :] - np.arange(size)[:, None] - _REACH
     kernel = np.where(np.abs(lag) <= _REACH, np.exp(-0.5 * (lag / _SMOOTH) ** 2), 0.0)
-    kernel /= kernel.sum(axis=1, keepdims=True)
-    return kernel, kernel * lag / _SMOOTH**2
+    return kernel / kernel.sum(axis=1, keepdims=True)
 
 
-def _eroded(planet: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Planet with planet all around it at the distance `_INSIDE`; the frame's edge is no limb."""
+def _eroded(planet: Bool[np.ndarray, "h w"], by: int) -> Bool[np.ndarray, "h w"]:
+    """Planet with planet all around it at a distance, px; the frame's edge is no limb."""
     height, width = planet.shape
     inside = planet.copy()
-    diagonal = round(_INSIDE / np.sqrt(2))
-    for dy, dx in ((0, _INSIDE), (_INSIDE, 0), (diagonal, diagonal), (diagonal, -diagonal)):
+    diagonal = round(by / np.sqrt(2))
+    for dy, dx in ((0, by), (by, 0), (diagonal, diagonal), (diagonal, -diagonal)):
         a = (slice(0, max(height - dy, 0)), slice(max(-dx, 0), max(min(width, width - dx), 0)))
         b = (slice(dy, height), slice(max(dx, 0), max(min(width, width + dx), 0)))
         inside[a] &= planet[b]
@@ -171,15 +243,15 @@ def _eroded(planet: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     return inside
 
 
-def _limb_tiles(
+def limb_tiles(
     planet: Bool[np.ndarray, "h w"], used: Bool[np.ndarray, "h w"]
 ) -> Iterator[tuple[int, int]]:
     """Upper left corners of the tiles that hold used pixels and have planet within reach."""
-    for y in range(0, used.shape[0], _TILE):
-        for x in range(0, used.shape[1], _TILE):
-            if used[y : y + _TILE, x : x + _TILE].any():
+    for y in range(0, used.shape[0], TILE):
+        for x in range(0, used.shape[1], TILE):
+            if used[y : y + TILE, x : x + TILE].any():
                 top, left = max(y - _REACH, 0), max(x - _REACH, 0)
-                if planet[top : y + _TILE + _REACH, left : x + _TILE + _REACH].any():
+                if planet[top : y + TILE + _REACH, left : x + TILE + _REACH].any():
                     yield y, x
 
 

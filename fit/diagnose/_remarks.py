@@ -9,7 +9,8 @@ from model_jax import FIELDS, Layers
 from model_jax._fields import amount_of
 
 from .._choices import CHANNELS
-from .._result import FitResult, LeftOut, PhotoResult
+from .._of_photo import PhotoResult
+from .._result import FitResult, LeftOut
 from .._verdict import STRUCTURED_PX, WELL_EXPLAINED
 from ..photo._columns import Columns, as_picture, light_at, take_columns
 from ..photo._photo import Photo
@@ -17,6 +18,7 @@ from ..photo._pixels import UNKNOWN_SURFACE, Pixels
 from ..photo._widths import fields_at
 from ..solve._parameters import FitParameter, free_directions
 from ..solve._task import Task
+from ._alignment import known_pixels, misaligned
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
 from ._evidence import BELIEVED, CHUNK, Evidence, explained_share
 from ._patterns import CAUSES
@@ -205,13 +207,16 @@ def why_airless(
             planet,
             used,
             widths,
+            (0.0, 0.0, 0.0) if one.alignment is None else one.alignment.place,
+            known_pixels(photo) & ~planet & ~np.asarray(layers.has_air),
         )
         if not air.has_air:
+            off = misaligned(one.alignment)
             found[number] = (
                 "no atmosphere shows: the planet's bare limb, blurred by "
                 f"{air.bare.blur_px:.1f} px, explains the light beyond it as well "
                 f"(the shell's ΔBIC is {air.delta_bic:.0f}, needed are more than "
-                f"{EVIDENCE:.0f})"
+                f"{EVIDENCE:.0f})" + (f"; the scene is misaligned: {off}" if off else "")
             )
     return found
 
@@ -255,6 +260,13 @@ def warnings_of(
             "Look at what is left over: where it has structure, this look cannot follow the photo."
         )
     found += _misfit_warnings(result)
+    for number, photo in enumerate(result.photos, 1):
+        if off := misaligned(photo.alignment):
+            which = f"of photo {number} " if len(result.photos) > 1 else ""
+            found.append(
+                f"The scene {which}is misaligned: {off}. Turn camera.forward and change "
+                "camera.fov_y_deg so that they meet."
+            )
     found += file_remarks(task)
     seen = debiased or result.misfits or (explained or 0) >= 1 - 1e-6
     if errors is not None and errors.correlation_px > STRUCTURED_PX and not seen:

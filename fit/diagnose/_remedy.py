@@ -4,7 +4,8 @@ from model_jax import Look
 from model_jax._composite import transmits
 from model_jax._fields import PLACES
 
-from .._result import FitResult, PhotoResult
+from .._of_photo import PhotoResult
+from .._result import FitResult
 from .._verdict import LEAST_EXPLAINED, MOST_STRUCTURE
 
 

@@ -162,8 +162,11 @@ def photo_section(
 def _facts(document: dict[str, Any]) -> list[tuple[str, str]]:
     """The few numbers under the verdict."""
     pixels = document.get("pixels") or {}
+    limbs = [limb for photo in document.get("photos") or [] if (limb := photo.get("alignment"))]
+    off = max((limb["off"] for limb in limbs), default=0.0)
+    beside = [("limb beside the scene's", f"{number(off, 2)} px")] if limbs else []
     if document.get("verdict") == Verdict.NO_DATA.label:
-        return [("pixels that could be used", grouped(pixels.get("used", 0)))]
+        return [("pixels that could be used", grouped(pixels.get("used", 0))), *beside]
     facts = [("residual rms", number(document.get("residual_rms"), 3))]
     explained = document.get("explained")
     if explained is not None:
@@ -175,7 +178,7 @@ def _facts(document: dict[str, Any]) -> list[tuple[str, str]]:
         facts.append((f"{name} per scene unit", number(per_length)))
     if document.get("loss", "linear") != "linear":
         facts.append(("robust loss", str(document["loss"]).replace("_", "-")))
-    return facts
+    return [*facts, *beside]
 
 
 def _row(name: str, estimate: dict[str, Any]) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from ._wording import (
     close_pairs,
     interval_of,
     known_before,
+    limb_in_words,
     role_of,
     shown_parameters,
     verdict_sentence,
@@ -207,6 +208,8 @@ def _photo_lines(document: dict[str, Any]) -> Iterator[str]:
         if "tone_curve" in photo:
             line += f", {curve_in_words(photo['tone_curve'])}"
         yield line
+        if limb := limb_in_words(photo.get("alignment")):
+            yield limb
         if clipped := clipped_note(pixels):
             yield clipped
 

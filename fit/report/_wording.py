@@ -50,6 +50,18 @@ def role_of(row: Mapping[str, Any]) -> str:
     return str(row.get("role", "fixed")).replace("_", " ")
 
 
+def limb_in_words(alignment: Mapping[str, Any] | None) -> str:
+    """How far the photo's limb lies beside the scene's; empty where none was seen."""
+    if not alignment:
+        return ""
+    return (
+        f"limb {number(alignment['off'], 2)} px beside the scene's where it is seen; moved by "
+        f"{number(alignment['right'], 2)} px right, {number(alignment['down'], 2)} px down and "
+        f"scaled by {alignment['scale']:.4f} the scene's meets it within "
+        f"{number(alignment['rms'], 2)} px"
+    )
+
+
 def verdict_sentence(document: Mapping[str, Any]) -> str:
     """The message without the warnings, which are listed on their own."""
     warnings = " ".join(document.get("warnings") or ())

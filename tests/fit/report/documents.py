@@ -63,6 +63,7 @@ def photo_row(**changes: Any) -> dict[str, Any]:
         "explained": 0.9981,
         "structure": 0.01,
         "width_unit": 5.5,
+        "alignment": None,
     }
     return row | changes
 
