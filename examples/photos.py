@@ -152,14 +152,18 @@ def disc(
         radius: the planet's, km.
         sun: degrees from the direction of the camera, and azimuth in the picture.
     """
-    x, y, across = circle[:3]
-    aim = np.array([x + 0.5 - size / 2, size / 2 - y - 0.5, focal])
-    away = np.linalg.norm(aim)
-    # Off the axis an outline is an ellipse; across the line to the axis it is this large.
-    distance = radius / np.sin(np.arctan(across / away))
-    center = distance * aim / away
+    angle = np.linspace(0, 2 * np.pi, 720)
+    x, y = circle[0] + circle[2] * np.cos(angle), circle[1] + circle[2] * np.sin(angle)
+    seen = (x > 0) & (x < size - 1) & (y > 0) & (y < size - 1)
+    # The rays through a sphere's outline lie on a cone: axis · ray = cos(half its angle). What is
+    # seen of the circle tells it; off the axis the whole outline is an ellipse.
+    rays = np.stack([x + 0.5 - size / 2, size / 2 - y - 0.5, np.full_like(x, focal)], axis=-1)[seen]
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    axis = np.linalg.lstsq(rays, np.ones(len(rays)), rcond=None)[0]
+    aim = axis / np.linalg.norm(axis)
+    center = radius / np.sin(np.arccos(1 / np.linalg.norm(axis))) * aim
     phase, azimuth = np.radians(sun)
-    toward = -aim / away
+    toward = -aim
     # In the picture's axes, turned so that the angle from the camera is what was said.
     right = np.cross([0.0, 1.0, 0.0], -toward)
     right /= np.linalg.norm(right)

@@ -182,6 +182,18 @@ def test_epic_disc_lies_on_the_photos_limb(data_dir: Path) -> None:
         assert scenes.limb_rms(EXAMPLES / "epic.toml", photo, shift) > scenes.THRESHOLD_PX
 
 
+def test_a_disc_off_the_axis_lies_on_its_circle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of AS11-44-6692, a fifth in size: where it is seen, an ellipse is a circle to 0.2 px."""
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    x, y, radius = 178.0, 393.0, 303.8
+    scene = example("photos").disc((x, y, radius), 734.0, 400, 6371.0, (128, 77))
+    planet = np.asarray(analytic_layers(scene).planet) != 0
+    rows, columns = np.nonzero(planet[1:] != planet[:-1])  # an edge half a pixel below the upper
+    off = np.hypot(columns - x, rows + 0.5 - y) - radius
+    assert len(off) > 300
+    assert np.abs(off).max() < 0.2 + 0.5
+
+
 def test_epic_fit(tmp_path: Path, data_dir: Path) -> None:
     scenes = example("make_photo_scenes")
     photo = data_dir / scenes.EPIC_PHOTO
