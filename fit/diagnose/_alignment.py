@@ -62,8 +62,9 @@ def known_pixels(photo: PhotoLike) -> Bool[np.ndarray, "h w"]:
 
 
 def misaligned(found: Alignment | None) -> str:
-    """In words how far the photo's limb lies off; empty where that is little."""
-    if found is None or found.off <= OFF_PX:
+    """In words how far the photo's limb lies off; empty where that is little, or no more than how
+    far the edges lie from any one limb."""
+    if found is None or found.off <= max(OFF_PX, found.rms):
         return ""
     outward, right, down = (
         f"{abs(value):.1f} ± {error:.1f} px {words[value < 0]}"
@@ -132,7 +133,8 @@ def _edges(
     known: Bool[np.ndarray, "h w"],
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
     """Distance of the photo's edge from the outline, and the normal there, block by block."""
-    tiles = list(limb_tiles(planet, known))
+    away_from = set(limb_tiles(~planet, known))  # and not far within it
+    tiles = [tile for tile in limb_tiles(planet, known) if tile in away_from]
     chosen = np.unique(np.linspace(0, len(tiles) - 1, min(len(tiles), _TILES)).astype(int))
     parts: list[tuple[np.ndarray, ...]] = []
     for y, x in (tiles[k] for k in chosen):

@@ -58,8 +58,7 @@ def limb_of(
 ) -> Limb:
     """Distance, normal and the disc's light, which is continued by a Gaussian blur.
 
-    Distances are from the photo's limb, at a `place` beside the mask's, and pixels within it are
-    left out.
+    Distances are from the photo's limb, at a `place` beside the mask's, and negative within it.
     """
     outline = outline_of(planet)
     # What of the mask lies beyond the photo's limb is no disc either.

@@ -1,9 +1,12 @@
 """Where a photo's limb lies beside the scene's: drawn discs, and cameras that mend it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fit import FitResult, fit
+from fit._of_photo import Alignment
 from fit.cli._aligned import aligned_camera, camera_lines
 from fit.diagnose._alignment import OFF_PX, align, misaligned
 from model_jax import Planet, Scene, analytic_layers
@@ -113,3 +116,7 @@ def test_a_fit_beside_the_photo_says_so_and_how_to_mend_it(rng: np.random.Genera
 
 def test_little_is_not_worth_a_word() -> None:
     assert misaligned(None) == ""
+    found = Alignment(2.0, 0.0, 0.0, (0.1, 0.1, 0.1), 1.02, off=2.0, rms=0.3, edges=40)
+    assert "2.0 ± 0.1 px farther out" in misaligned(found)
+    assert misaligned(replace(found, off=0.9)) == ""
+    assert misaligned(replace(found, rms=2.5)) == ""
