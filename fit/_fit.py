@@ -259,7 +259,7 @@ def _fit(task: Task, where: Where) -> FitResult:
     evidence = evidence_of(task, problem, end, residuals)
     aligned = [alignment_of(p, la) for p, la in seen]
     photos = photo_results(task, problem, end, pixels, residuals, aligned)
-    airless = why_airless(task, pixels, columns, evidence, photos)
+    airless, doubts = why_airless(task, pixels, columns, evidence, photos)
     if all(airless):
         result = without_data(str(airless[0]), task, pixels, columns, left_out, aligned)
     else:
@@ -270,9 +270,12 @@ def _fit(task: Task, where: Where) -> FitResult:
         result = with_warnings(
             result,
             [
-                f"Photo {number}: {why}. Leave it out, or check its alignment and exposure."
-                for number, why in enumerate(airless, 1)
-                if why
+                *doubts,
+                *(
+                    f"Photo {number}: {why}. Leave it out, or check its alignment and exposure."
+                    for number, why in enumerate(airless, 1)
+                    if why
+                ),
             ],
         )
     times.append(perf_counter())

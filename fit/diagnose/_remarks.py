@@ -165,8 +165,8 @@ def why_airless(
     columns: Sequence[Columns],
     evidence: Evidence | None,
     photos: Sequence[PhotoResult],
-) -> list[str | None]:
-    """Why each photo shows no air, or None.
+) -> tuple[list[str | None], list[str]]:
+    """Why each photo shows no air, or None; and what is doubtful where there is.
 
     Asked only where the look leaves more of the light unexplained than `NO_BARE_LIMB`: the question
     costs up to seconds. A share that holds the planet's surface tells less, and so does the ring
@@ -174,8 +174,9 @@ def why_airless(
     here; where a look explains so much of them and of the rest, it does of all.
     """
     found: list[str | None] = [None] * len(task.photos)
+    doubts: list[str] = []
     if not any(_shows_planet(layers) for layers in task.layers):
-        return found
+        return found, doubts
     unit = float(task.layers[0].width_unit)
     beside = [
         take_columns(photo, layers, px.edges, unit, type(task.look))
@@ -210,6 +211,12 @@ def why_airless(
             (0.0, 0.0, 0.0) if one.alignment is None else one.alignment.place,
             known_pixels(photo) & ~planet & ~np.asarray(layers.has_air),
         )
+        if air.has_air and not air.delta_bic > EVIDENCE:
+            which = f" of photo {number + 1}" if len(task.photos) > 1 else ""
+            doubts.append(
+                f"The ring{which} is brighter than the sky beyond it, but not brighter where there "
+                "is more air: check the alignment, and mask what is no air."
+            )
         if not air.has_air:
             off = misaligned(one.alignment)
             found[number] = (
@@ -218,7 +225,7 @@ def why_airless(
                 f"(the shell's ΔBIC is {air.delta_bic:.0f}, needed are more than "
                 f"{EVIDENCE:.0f})" + (f"; the scene is misaligned: {off}" if off else "")
             )
-    return found
+    return found, doubts
 
 
 def _shows_planet(layers: Layers) -> bool:

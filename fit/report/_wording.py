@@ -55,10 +55,8 @@ def limb_in_words(alignment: Mapping[str, Any] | None) -> str:
     if not alignment:
         return ""
     return (
-        f"limb {number(alignment['off'], 2)} px beside the scene's where it is seen; moved by "
-        f"{number(alignment['right'], 2)} px right, {number(alignment['down'], 2)} px down and "
-        f"scaled by {alignment['scale']:.4f} the scene's meets it within "
-        f"{number(alignment['rms'], 2)} px"
+        f"limb {number(alignment['off'], 2)} px beside the scene's where it is seen; its edges lie "
+        f"within {number(alignment['rms'], 2)} px of one limb"
     )
 
 

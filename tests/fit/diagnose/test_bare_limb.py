@@ -104,7 +104,9 @@ def test_a_band_of_even_light_is_air(rng: np.random.Generator) -> None:
     light = light + rng.normal(scale=0.002, size=light.shape)
     assert not search(light, scene).has_air
     assert search(light, scene, sky=~(planet | air)[..., 0]).has_air
-    assert fit(light, layers).verdict != "no_data"
+    result = fit(light, layers)
+    assert result.verdict != "no_data"
+    assert any("The ring is brighter than the sky beyond it" in text for text in result.warnings)
 
 
 def test_finds_blur_and_place(rng: np.random.Generator) -> None:

@@ -14,7 +14,7 @@ from fit import FitResult, Verdict, fit
 from fit._verdict import VERDICTS
 from fit.report._terminal import fit_text
 from model_jax import Layers
-from tests.fit.report.documents import CASES
+from tests.fit.report.documents import CASES, document, photo_row
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -96,3 +96,18 @@ def write_golden() -> None:
 
 if __name__ == "__main__":
     write_golden()
+
+
+def test_a_limb_that_was_seen_has_a_line() -> None:
+    limb: dict[str, Any] = {
+        "off": 2.98,
+        "rms": 0.057,
+        "right": -3.0,
+        "down": 1.5,
+        "outward": 1.9,
+        "scale": 1.03,
+    }
+    limb |= {"stderr": [0.1, 0.1, 0.1], "edges": 25}
+    text = fit_text(document(photos=[photo_row(alignment=limb)]))
+    assert "limb 3 px beside the scene's where it is seen; its edges lie within 0.057 px" in text
+    assert "limb" not in fit_text(document())
