@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from model_jax import Camera, Scene
 
@@ -22,7 +23,7 @@ def aligned_camera(scene: Scene, found: Alignment) -> Camera:
     seen = center[:2] / center[2] / pixel + np.array([found.right, -found.down])
     half = np.tan(np.radians(float(camera.fov_y_deg)) / 2) / found.scale
     wanted = np.append(seen * pixel / found.scale, 1.0)
-    turn = _rotation(center / np.linalg.norm(center), wanted / np.linalg.norm(wanted))
+    turn = Rotation.align_vectors(wanted, center)[0].as_matrix()  # the least that does
     return replace(
         camera,
         forward=(turn @ basis)[2],
@@ -34,10 +35,3 @@ def camera_lines(camera: Camera) -> str:
     """What to write into the scene file, to a thousandth of a pixel."""
     forward = ", ".join(f"{value:.9f}" for value in np.asarray(camera.forward))
     return f"[camera] forward = [{forward}], fov_y_deg = {float(camera.fov_y_deg):.7g}"
-
-
-def _rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The least rotation from one unit vector to another (Rodrigues)."""
-    axis, cosine = np.cross(start, end), float(start @ end)
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))

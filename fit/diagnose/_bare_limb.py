@@ -9,7 +9,7 @@ ended by a blurred edge. Blur neither makes light nor colours it, so the disc's 
 the factor 1 and in its own colour; only the edge's place and width are free. The shell is tested on
 top of it: a planet with air is seen by the same camera, so its limb leaks into the ring too.
 
-Pure NumPy; knows nothing of looks and solvers.
+NumPy and SciPy; knows nothing of looks and solvers.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.special import ndtr
 
 from ._effective import Part, effective_samples
-from ._limb import Light, Limb, Place, glows, limb_of, normal_distribution
+from ._limb import Light, Limb, Place, glows, limb_of
 
 EVIDENCE = 10.0
 """Least ΔBIC that tells air: "very strong", odds of 150 to 1 (Kass & Raftery 1995, J. Am. Stat.
@@ -237,9 +238,7 @@ def _edge(
 ) -> Float[np.ndarray, " _"]:
     """Share of the disc's light beyond a blurred edge; p: log blur, outward, right, down, halo."""
     beyond = limb.distance[part] - p[1] - limb.normal[part] @ p[2:4]
-    return (1 - p[4]) * normal_distribution(-beyond * np.exp(-p[0])) + p[4] * normal_distribution(
-        -beyond / HALO_PX
-    )
+    return (1 - p[4]) * ndtr(-beyond * np.exp(-p[0])) + p[4] * ndtr(-beyond / HALO_PX)
 
 
 def _edge_slope(limb: Limb, p: np.ndarray, part: slice) -> Float[np.ndarray, "n 5"]:
@@ -256,7 +255,7 @@ def _edge_slope(limb: Limb, p: np.ndarray, part: slice) -> Float[np.ndarray, "n 
             outward,
             outward * normal[:, 0],
             outward * normal[:, 1],
-            normal_distribution(-wide) - normal_distribution(-sharp),
+            ndtr(-wide) - ndtr(-sharp),
         ],
         axis=-1,
     )

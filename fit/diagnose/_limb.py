@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -92,11 +91,6 @@ def limb_of(
     if not found:
         return Limb(np.zeros(0, int), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 3)))
     return Limb(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
-
-
-_DEVIATE = np.linspace(-6.0, 6.0, 2401)
-_CUMULATIVE = np.array([NormalDist().cdf(t) for t in _DEVIATE])
-"""The normal distribution in steps of 1/200: a line between two is within 1e-6 of it."""
 
 
 def glows(
@@ -252,10 +246,3 @@ def limb_tiles(
                 top, left = max(y - _REACH, 0), max(x - _REACH, 0)
                 if planet[top : y + TILE + _REACH, left : x + TILE + _REACH].any():
                     yield y, x
-
-
-def normal_distribution(deviate: np.ndarray) -> np.ndarray:
-    """The normal distribution by its table, to 1e-6; `np.interp` would search for each cell."""
-    place = np.clip((deviate - _DEVIATE[0]) / (_DEVIATE[1] - _DEVIATE[0]), 0, len(_DEVIATE) - 1.001)
-    cell = place.astype(int)
-    return _CUMULATIVE[cell] + (place - cell) * (_CUMULATIVE[cell + 1] - _CUMULATIVE[cell])
