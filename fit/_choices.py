@@ -11,6 +11,9 @@ LayerSource = Literal[Source, "analytic"]
 CHANNELS = ("r", "g", "b")
 """Endings of a colour's parts, as in NAME.r."""
 
+AUTO = "auto"
+"""In place of a look's name: its terms are chosen by the photos."""
+
 LossName = Literal["linear", "huber", "soft_l1", "cauchy"]
 LOSSES: tuple[LossName, ...] = get_args(LossName)
 """As in SciPy's `least_squares`; "linear" is plain least squares."""

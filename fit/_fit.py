@@ -9,7 +9,7 @@ from dataclasses import replace
 from itertools import pairwise
 from os import PathLike
 from time import perf_counter
-from typing import Any, overload
+from typing import Any, Literal, overload
 
 import jax
 import numpy as np
@@ -17,12 +17,14 @@ from jaxtyping import Float
 
 from model_jax import InputError, Layers, LayersLook, Look, Response
 from model_jax._blur import MOST_BLUR
+from model_jax._errors import shown
 from model_jax._fields import only_needed
 from model_jax._kinds import need
 from model_jax._shapes import is_traced
 from model_jax.looks._registry import checked
 
-from ._choices import Where, check_jpeg, check_loss, check_sampling, check_steps, check_where
+from ._auto import Auto, Declare, choose_look
+from ._choices import AUTO, Where, check_jpeg, check_loss, check_sampling, check_steps, check_where
 from ._compile import float64
 from ._estimates import debias_jpeg, photo_results
 from ._judge import evidence_of, judge, with_warnings, without_data
@@ -38,7 +40,7 @@ from .photo._photo import Photo
 from .photo._pixels import choose_pixels
 from .solve._declare import declare, links, pairs
 from .solve._descend import make_solver
-from .solve._parameters import to_entries
+from .solve._parameters import FitParameter, to_entries
 from .solve._problem import one_in_grey, within_scene
 from .solve._task import Task
 
@@ -79,7 +81,7 @@ def fit(  # type: ignore[overload-overlap]  # a tracer passes for an array in JA
 def fit(
     photo: PhotoLike | Sequence[PhotoLike],
     layers: Layers | Sequence[Layers],
-    look: Look = ...,
+    look: Look | Literal["auto"] = ...,
     *,
     free: Iterable[str] | str | None = ...,
     response: Response | Sequence[Response] = ...,
@@ -126,10 +128,11 @@ def fit(
             the first layers' `width_unit`, and all layers must use one length unit.
         layers: of the photo's size, float32 or float64; one for each photo.
         look: of any kind (`looks`), with start values; what is not free stays as it is. Where a
-            parameter may be one number or a colour, its form decides how it is fitted.
+            parameter may be one number or a colour, its form decides how it is fitted. "auto":
+            `layers`, or `air` with the terms that the photos support (`FitResult.selection`).
         free: names to fit: a parameter, one channel of a colour as NAME.r, "exposure.2" …
             None means the look, blurs if there are any, and with several photos also black levels
-            and exposures but the first.
+            and exposures but the first. With "auto" the terms' own parameters are free besides.
         response: start values of each photo's response, or one for all.
         bounds: name → (lower, upper), narrower than the parameter's own. Background and black level
             end at 0 where they would end below, unless they start there or have bounds.
@@ -158,7 +161,8 @@ def fit(
         misfit, and its levels may end below 0.
 
     Raises:
-        InputError: an argument of the wrong kind (a path, a scene …), traced layers, sizes that
+        InputError: an argument of the wrong kind (a path, a scene …), "auto" with a blur or under
+            `jit`, names that only a term has with "auto", traced layers, sizes that
             differ, wrong array type or shape, unknown names, contradictory bounds, a prior without
             width, a circle of ties, ring or planet of layers without a planet mask.
     """
@@ -173,17 +177,69 @@ def fit(
     with float64():
         bound_programs()
         photos, all_layers = _pairs(photo, layers)
-        all_layers = tuple(only_needed(one, look.NEEDS) for one in all_layers)
         responses = _responses(response, len(photos))
-        parameters = declare(look, responses, free=free, bounds=bounds, priors=priors, tied=tied)
+        auto = _auto_of(look)
+        start = look if auto is None else auto.start
+
+        def declared(look: Look) -> tuple[FitParameter, ...]:
+            own = [name for name in type(look).PARAMETERS if name not in type(start).PARAMETERS]
+            asked = (free,) if isinstance(free, str) else free
+            names = asked if asked is None or not own else [*asked, *own]
+            return declare(look, responses, free=names, bounds=bounds, priors=priors, tied=tied)
+
+        parameters = declared(start)
         loss_name, handling, sampled = check_loss(loss), check_jpeg(jpeg), check_sampling(sampling)
         make_solver(solver)
         steps = MAX_STEPS if max_steps is None else max_steps
         named = free is not None
         task = Task(
-            photos, all_layers, look, parameters, loss_name, handling, sampled, solver, steps, named
+            photos,
+            all_layers,
+            start,
+            parameters,
+            loss_name,
+            handling,
+            sampled,
+            solver,
+            steps,
+            named,
         )
-        return _fit(task, check_where(where))
+        pixels = check_where(where)
+        if auto is None:
+            return _fit(_only_needed(task), pixels)
+        started = perf_counter()
+        task = _chosen(task, pixels, declared)
+        seconds = {"choose": perf_counter() - started}
+        result = _fit(_only_needed(task), pixels)
+        return replace(result, seconds=seconds | result.seconds)
+
+
+def _only_needed(task: Task) -> Task:
+    """The task without layers that its look does not ask for."""
+    needs = type(task.look).NEEDS
+    return replace(task, layers=tuple(only_needed(one, needs) for one in task.layers))
+
+
+def _auto_of(look: Any) -> Auto | None:
+    """What is asked of the choice of terms; None where a look is given."""
+    if isinstance(look, str):
+        if look == AUTO:
+            return Auto()
+        raise InputError(
+            f"look: {shown(look)} is a name; give 'auto', or find_look({shown(look)})()"
+        )
+    return look if isinstance(look, Auto) else None
+
+
+def _chosen(task: Task, where: Where, declared: Declare) -> Task:
+    """The task for the look whose terms the photos support."""
+    if task.blurs:
+        raise InputError(
+            "fit: look='auto' chooses no terms of blurred photos; name them, such as "
+            "air+density+saturation, or leave out the blur"
+        )
+    look, selection = choose_look(task, where, declared)
+    return replace(task, look=look, parameters=declared(look), selection=selection)
 
 
 def _fit_traced(
@@ -309,8 +365,11 @@ def _check_kinds(photo: Any, layers: Any, look: Any, response: Any, max_steps: A
         need("layers", one, Layers)
     if is_traced(layers):
         raise InputError("fit: the layers are traced; make them outside of jit, vmap or grad")
-    need("look", look, Look)
-    checked(type(look))
+    if _auto_of(look) is None:
+        need("look", look, Look)
+        checked(type(look))
+    elif is_traced(photo, response):
+        raise InputError("fit: look='auto' chooses outside of jit, vmap and grad; give a look")
     for one in response if isinstance(response, list | tuple) else (response,):
         need("response", one, Response)
     check_steps("max_steps", max_steps)

@@ -110,6 +110,7 @@ def judge(
         solver=task.solver,
         history=end.history,
         second_opinion=end.second,
+        selection=task.selection,
         evidence=evidence,
     )
     stuck = [p.name for p in end.at_bound if not at_least(p, end.vector)]

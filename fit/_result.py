@@ -17,6 +17,7 @@ from model_jax._parameter import PER_UNIT
 
 from ._numbers import measured, number
 from ._of_photo import PhotoResult
+from ._selection import Selection
 
 
 @dataclass(frozen=True)
@@ -159,6 +160,9 @@ class FitResult:
     """What the end was held against: "closed form" where the least square sum is known and not
     lower; else how a second descent by another method ended: "same", "higher" or "lower"; "" where
     nothing was left to fit."""
+    selection: Selection | None = None
+    """How the look's terms were chosen, if they were (`look="auto"`). Intervals hold for a look
+    that was named; what choosing adds is not in them."""
     seconds: dict[str, float] = field(default_factory=dict)
     """"reduce": reading pixels; "solve": descents and checks; "errors": covariance and bounds."""
     evidence: OnDemand | None = field(default=None, repr=False, compare=False)
@@ -295,6 +299,7 @@ class FitResult:
             "verdict": self.verdict,
             "message": self.message,
             "warnings": list(self.warnings),
+            "selection": None if self.selection is None else _selection_dict(self.selection),
             "parameters": {name: _estimate_dict(e) for name, e in self.parameters.items()},
             "look": look_record(self.look),
             "per_length": {name: _number(value) for name, value in self.per_length.items()},
@@ -353,6 +358,17 @@ def _estimate_dict(e: Estimate) -> dict[str, Any]:
         "layer_error": _number(e.layer_error),
         "compression_shift": _number(e.compression_shift),
         "meaning": e.meaning,
+    }
+
+
+def _selection_dict(selection: Selection) -> dict[str, Any]:
+    return {
+        "terms": [
+            vars(term) | {"parameters": list(term.parameters), "delta_bic": _number(term.delta_bic)}
+            for term in selection.terms
+        ],
+        "samples": selection.samples,
+        "effective_samples": _number(selection.effective_samples),
     }
 
 

@@ -139,6 +139,11 @@ class Look(eqx.Module):
     """What may be added to it (`with_terms`), by name, and what that does."""
     TERM_NEEDS: ClassVar[dict[str, tuple[str, ...]]] = {}
     """Terms without which one cannot be, by its name."""
+    TERM_OFF: ClassVar[dict[str, dict[str, float]]] = {}
+    """Values of a term's parameters with which it does nothing, by its name; of a term that can be
+    left out only by another program there are none."""
+    CHOICES: ClassVar[tuple[str, ...]] = ()
+    """Terms that a fit chooses among where nobody names any, those that are cheap first."""
     GLSL: ClassVar[str | None] = None
     """Text of its twin; None: the file NAME.glsl beside the module."""
 
@@ -245,7 +250,8 @@ _TAKEN = {
     *RESPONSE_PARAMETERS,
     # What a look has itself.
     *("background", "air", "NAME", "PARAMETERS", "NEEDS", "LINEAR_IN", "ROUNDINGS", "BLEND"),
-    *("SEPARABLE", "AMPLITUDE", "GROUND", "GLSL", "TERMS", "TERM_NEEDS", "with_terms"),
+    *("SEPARABLE", "AMPLITUDE", "GROUND", "GLSL", "TERMS", "TERM_NEEDS", "TERM_OFF", "CHOICES"),
+    "with_terms",
     # Keys of scene files and exports.
     *("kind", "look", "verdict", "warnings", "color", "width_unit"),
     *("atmosphere_path", "atmosphere_height", "planet_radius"),

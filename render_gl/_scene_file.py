@@ -111,6 +111,8 @@ class SceneFile:
     scene: Scene
     look: Look
     photo: PhotoSettings
+    names_look: bool = False
+    """Its [look] says of which kind."""
 
 
 def load_scene(path: PathLike, look: PathLike | None = None) -> SceneFile:
@@ -195,6 +197,7 @@ def _build(file: Path, document: dict[str, Any], asked: type[Look] | None) -> Sc
             tone_curve=None if curve is None else parse_tone_curve(curve),
             mask=beside("photo", "mask"),
         ),
+        names_look="kind" in tables.get("look", {}),
     )
 
 

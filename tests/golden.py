@@ -126,7 +126,8 @@ def vmap() -> Document:
 def job(scene: str, photo: Path, jpeg: str = "keep") -> Document:
     """The whole way from files to files, with the layers that a user gets."""
     with tempfile.TemporaryDirectory() as folder:
-        asked = Job((str(photo),), (str(EXAMPLES / scene),), source="analytic", jpeg=jpeg)
+        files = (str(photo),), (str(EXAMPLES / scene),)
+        asked = Job(*files, look="layers", source="analytic", jpeg=jpeg)
         result, document = run_job(asked, folder)
         pictures = {path.name: digest(path.read_bytes()) for path in Path(folder).glob("i*.exr")}
     named = ("color", "planet_radius", "atmosphere_height", "atmosphere_path", "tone_curve")

@@ -18,6 +18,8 @@ height = 600.0
 color = [0.3, 0.6, 1.0]
 [sun]
 direction = [1.0, -0.3, 0.2]
+[look]
+kind = "layers"
 """
 
 

@@ -13,6 +13,8 @@ from typing import Any, TypeVar
 
 from model_jax._errors import InputError, shown
 
+from .._choices import AUTO
+
 T = TypeVar("T")
 
 
@@ -32,6 +34,8 @@ def look_of(look: str | None, terms: str | None) -> str | None:
         raise InputError("--terms: blur is the camera's, no look's, and goes with fit only")
     if terms is None:
         return look
+    if look == AUTO:
+        raise InputError("--terms: --look auto chooses them; name another look, or leave them out")
     if look is None or look.endswith(".py"):
         raise InputError("--terms: goes with --look and a look that has terms, such as --look air")
     return "+".join([look, *(term.strip() for term in terms.split(","))])

@@ -30,6 +30,7 @@ from ._guard import command_line, devices_found, guard, tell
 from ._options import (
     DepthOption,
     Depths,
+    FitLookOption,
     JsonOption,
     LookOption,
     SceneArgument,
@@ -154,7 +155,7 @@ def fit(
     constant: Annotated[
         float, typer.Option(help="With log depths: C of log(C z + 1) / log(C far + 1).")
     ] = 1.0,
-    look: LookOption = None,
+    look: FitLookOption = None,
     terms: TermsOption = None,
     source: Annotated[
         LayerSource | None,

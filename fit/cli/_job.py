@@ -33,7 +33,9 @@ from model_jax import (
 from model_jax._errors import printable
 from render_gl._files import path_text
 
+from .._auto import Auto
 from .._choices import (
+    AUTO,
     LayerSource,
     check_jpeg,
     check_loss,
@@ -74,7 +76,7 @@ class Job:
     constant: float = 1.0
     """C of logarithmic depths."""
     look: str | None = None
-    """A look by name or file, in place of the scenes'."""
+    """A look by name or file, in place of the scenes'; or `AUTO`."""
     blurs: bool = False
     """Photos are blurred, by widths that are fitted."""
     source: LayerSource = "raster"
@@ -115,8 +117,10 @@ def run_job(
     Raises `InputError` or `DriverError`; each file appears whole or not at all, and fit.json last,
     so that its presence means that all are there.
     """
-    files = [render_gl.load_scene(path, job.look) for path in job.scenes]
-    look, responses = start_values(job, files[0].look if files else _asked(job))
+    named = LayersLook.NAME if job.look == AUTO else job.look
+    files = [render_gl.load_scene(path, named) for path in job.scenes]
+    look, responses = start_values(job, files[0].look if files else _asked(named))
+    asked: Any = Auto(look) if job.look == AUTO or _is_open(job, files) else look
     _check_names(job, look, responses)  # slips are found out before the work, not after
     folder = prepare_folder(out)
     map_large_blocks()
@@ -136,7 +140,7 @@ def run_job(
     result = fit(
         [view.photo for view in views],
         layers,
-        look,
+        asked,
         free=job.free,
         response=responses,
         bounds=job.bounds,
@@ -183,9 +187,14 @@ def _corrections(views: Sequence[PhotoView], result: FitResult) -> list[str]:
     ]
 
 
-def _asked(job: Job) -> Look:
+def _asked(name: str | None) -> Look:
     """The look of a fit to layers, for which no scene says anything."""
-    return LayersLook() if job.look is None else find_look(job.look)()
+    return LayersLook() if name is None else find_look(name)()
+
+
+def _is_open(job: Job, files: Sequence[render_gl.SceneFile]) -> bool:
+    """Nobody named a look, so that its terms are chosen; not with a blur, with which none are."""
+    return job.look is None and not job.blurs and not any(file.names_look for file in files[:1])
 
 
 def start_values(job: Job, look: Look) -> tuple[Look, tuple[Response, ...]]:

@@ -16,6 +16,14 @@ LookOption = Annotated[
     str | None,
     typer.Option(metavar="LOOK", help="A look's name or Python file, in place of the scene's."),
 ]
+FitLookOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LOOK",
+        help="A look's name or Python file; auto, unless the scene names one, is air with the "
+        "terms that the photo supports; layers is the paper's.",
+    ),
+]
 TermsOption = Annotated[
     str | None,
     typer.Option(

@@ -1,9 +1,9 @@
 """How many independent samples a photo's residuals by the limb amount to."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 Part = tuple[slice, slice]
 """Rows and columns of the photo."""
@@ -42,6 +42,58 @@ def effective_samples(
         return float(max(3 * count, 1))
     channels = 1 / float(((covariance / total) ** 2).sum())
     return float(np.clip(count / area * channels, 1.0, 3.0 * count))
+
+
+QUIET = 0.05
+"""Correlation of residuals that is as good as none."""
+_PAIRS = 4000
+"""Pairs of pixels in the nearest bin of distances, of which chance correlates by less than `QUIET`;
+each further bin has twice as many."""
+
+
+def scattered_samples(
+    places: Sequence[Int[np.ndarray, "2 _"]], residuals: Sequence[Float[np.ndarray, "_ 3"]]
+) -> tuple[float, bool]:
+    """Number of independent samples that tell as much as those of scattered pixels, and whether
+    these are independent of their neighbours.
+
+    Of n samples whose residuals have correlations ρ it is n / (1 + Σ ρ / n) over pairs, up to the
+    distance where the mean correlation is `QUIET`, or what chance leaves of none, three standard
+    errors; times the channels that vary independently, as `effective_samples`.
+
+    Args:
+        places: row and column of the pixels of each photo.
+        residuals: of these, NaN where a sample is not known.
+    """
+    total, independent = 0.0, True
+    for place, residual in zip(places, residuals, strict=True):
+        known = np.nan_to_num(residual)
+        covariance = known.T @ known
+        trace = float(np.trace(covariance))
+        if not trace > 0:
+            total += known.size
+            continue
+        inflation = _inflation(place, known)
+        total += len(known) * trace**2 / float((covariance**2).sum()) / inflation
+        independent &= inflation == 1
+    return max(total, 2.0), independent
+
+
+def _inflation(place: Int[np.ndarray, "2 n"], residual: Float[np.ndarray, "n 3"]) -> float:
+    """Variance of a mean of residuals over that of independent ones; 1 where neighbours are."""
+    first, second = np.triu_indices(place.shape[1], 1)
+    apart = np.hypot(*(place[:, first] - place[:, second]))
+    near = np.argsort(apart, kind="stable")
+    products = np.einsum("ni,ni->n", residual[first[near]], residual[second[near]])
+    own = float((residual**2).sum())
+    mean, added, start, many = own / len(residual), 0.0, 0, _PAIRS
+    while start < len(products):
+        part = products[start : start + many]
+        if part.mean() < max(QUIET, 3 / np.sqrt(len(part))) * mean:
+            break
+        added += 2 * float(part.sum())
+        start, many = start + many, 2 * many
+    return 1 + max(added, 0.0) / own
 
 
 _LAGS = 64

@@ -93,7 +93,7 @@ def choose_pixels(
         remarks.append(("choice of sky pixels", why))
     edges: dict[str, np.ndarray] = {}
     if sampling == "area":
-        edges = _edges(layers)
+        edges = edges_of(layers)
         if blurs:
             edges = {name: part for name, part in edges.items() if name == "edge of the shadow"}
         air = ~np.logical_or.reduce(list(reasons.values()))
@@ -157,7 +157,7 @@ def _elsewhere(layers: Layers, where: Where) -> dict[str, Bool[np.ndarray, "h w"
     return found if where == "all" else found | {"in front of space": ~planet}
 
 
-def _edges(layers: Layers) -> dict[str, Bool[np.ndarray, "h w"]]:
+def edges_of(layers: Layers) -> dict[str, Bool[np.ndarray, "h w"]]:
     """Pixels that an edge runs through, by what it is the edge of.
 
     Of a straight edge through a pixel's square, the middle of the pixel or of a neighbour beside or

@@ -30,6 +30,7 @@ from ._panels import (
 )
 from ._wording import (
     SECOND_OPINIONS,
+    choice_in_words,
     clipped_note,
     close_pairs,
     interval_of,
@@ -37,6 +38,7 @@ from ._wording import (
     range_of,
     role_of,
     shown_parameters,
+    terms_in_words,
     verdict_sentence,
 )
 
@@ -54,7 +56,7 @@ TONES = {
 Section = dict[str, Any]
 """One photo's part of the page, as the template reads it."""
 
-_STEPS = ("render", "reduce", "solve", "errors", "report")
+_STEPS = ("render", "choose", "reduce", "solve", "errors", "report")
 
 
 def report_html(document: dict[str, Any], sections: Sequence[Section], command: str) -> str:
@@ -95,6 +97,8 @@ def report_html(document: dict[str, Any], sections: Sequence[Section], command: 
             e.get("compression_shift") is not None for e in shown_parameters(document).values()
         ),
         told=_told(document),
+        choice=choice_in_words(document),
+        terms=terms_in_words(document),
         errors=_errors(document),
         correlation=_correlation(document.get("correlation")),
         pairs=[(a, b, f"{c:+.3f}".replace("-", "−")) for a, b, c in close_pairs(document)],

@@ -15,6 +15,7 @@ from .._numbers import curve_in_words, measured, number, share
 from .._verdict import WELL_EXPLAINED
 from ._wording import (
     SECOND_OPINIONS,
+    choice_in_words,
     clipped_note,
     close_pairs,
     interval_of,
@@ -22,6 +23,7 @@ from ._wording import (
     limb_in_words,
     role_of,
     shown_parameters,
+    terms_in_words,
     verdict_sentence,
 )
 
@@ -47,6 +49,10 @@ def print_fit(console: Console, document: dict[str, Any], out: str | None) -> No
         _say(console, f"{first} and {second} are hard to tell apart: {size}")
     for item in document["left_out"]:
         _say(console, f"left out: {item['what']}, because {item['why']}")
+    if chosen := choice_in_words(document):
+        _say(console, chosen)
+    for term, why in terms_in_words(document):
+        _say(console, f"  {term}: {why}")
     for line in (*_photo_lines(document), _error_line(document), _solver_line(document)):
         if line:
             _say(console, line)

@@ -10,7 +10,7 @@ from typing import Any
 
 from model_jax._parameter import RESPONSE_PARAMETERS
 
-from .._numbers import number
+from .._numbers import measured, number
 from .._verdict import Verdict
 
 CLOSE = 0.9
@@ -58,6 +58,44 @@ def limb_in_words(alignment: Mapping[str, Any] | None) -> str:
         f"limb {number(alignment['off'], 2)} px beside the scene's where it is seen; its edges lie "
         f"within {number(alignment['rms'], 2)} px of one limb"
     )
+
+
+def choice_in_words(document: Mapping[str, Any]) -> str:
+    """By what the look's terms were chosen; empty where they were named, or nothing was fitted."""
+    selection = _selection(document)
+    if not selection:
+        return ""
+    return (
+        f"terms chosen by {selection['samples']:,} samples, worth "
+        f"{number(selection['effective_samples'], 3)} independent ones; intervals hold for these "
+        "terms, and not what choosing adds"
+    )
+
+
+def terms_in_words(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Each term that was chosen among, and why it was taken or left out."""
+    rows = document.get("parameters") or {}
+    found = []
+    for term in _selection(document).get("terms") or ():
+        bic = term["delta_bic"]
+        odds = "" if bic is None else f"ΔBIC {number(bic, 3)}"
+        why = ", ".join(part for part in (odds, term["why"]) if part)
+        if not term["taken"]:
+            found.append((term["term"], f"left out: {why}"))
+            continue
+        values = [
+            f"{name} {measured(row['value'], row.get('stderr'))}"
+            for name, row in rows.items()
+            if name.partition(".")[0] in term["parameters"]
+        ]
+        told = f" ({', '.join(values)})" if values else ""
+        found.append((term["term"], f"{term['meaning']}{told}: {why}"))
+    return found
+
+
+def _selection(document: Mapping[str, Any]) -> Mapping[str, Any]:
+    told = document.get("verdict") != Verdict.NO_DATA.label
+    return (document.get("selection") or {}) if told else {}
 
 
 def verdict_sentence(document: Mapping[str, Any]) -> str:

@@ -42,12 +42,16 @@ TOLERANCE = 1e-10
 class _Passes:
     """Exact passes in the coordinates of a box, the last one remembered."""
 
-    def __init__(self, problem: Problem, free: Sequence[FitParameter], base: Entries) -> None:
+    def __init__(
+        self, problem: Problem, free: Sequence[FitParameter], base: Entries, most: int = 0
+    ) -> None:
         self.box = Box(free, problem.parameters, problem.model.layout.kind)
         self.base = base
         self.history: list[float] = []
         self._samples, self._model = on_device(problem.reduced), problem.model
-        self._directions = free_directions(free, problem.parameters)[0]
+        directions = free_directions(free, problem.parameters)[0]
+        unused = np.zeros((len(directions), max(most - directions.shape[1], 0)))
+        self._directions = np.concatenate([directions, unused], axis=1)
         self._last: tuple[np.ndarray, np.ndarray] | None = None
 
     def rows(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "q q"]:
@@ -75,6 +79,8 @@ class _Passes:
                 jnp.asarray(vector), jnp.asarray(self._directions), self._samples, self._model
             )
         )
+        if not np.isfinite(found).all():
+            return np.full((len(values) + 1,) * 2, np.nan)
         # The box's coordinates move the vector along the same directions.
         along = np.linalg.pinv(self._directions) @ self.box.slopes(vector)
         turned = np.zeros((along.shape[1] + 1,) * 2)
@@ -90,28 +96,40 @@ def approach(
     free: Sequence[FitParameter],
     max_steps: int,
     starts: Sequence[Entries] | None = None,
+    *,
+    more: Sequence[Entries] = (),
+    tolerance: float = TOLERANCE,
+    most: int = 0,
 ) -> Descent:
     """The lowest place that a few descents find, from the best of starts, or of many spread ones.
 
     Square sums are of `problem.reduced`.
+
+    Args:
+        more: starts beside the spread ones.
+        tolerance: where a descent ends.
+        most: degrees of freedom that other calls have: one program then serves them all.
     """
-    passes = _Passes(problem, free, held)
+    passes = _Passes(problem, free, held, most)
     if starts is None:
         linear = {"exposure", *(p.family for p in passes.box.levels)}
         if passes.box.amplitude is not None:
             linear.add(passes.box.amplitude.family)
-        starts = spread_starts(held, free, problem.parameters, linear, problem.ranges)
+        starts = [
+            *spread_starts(held, free, problem.parameters, linear, problem.ranges),
+            *more,
+        ]
     placed = [_with_linear(put_inside(v, free, problem.parameters), passes) for v in starts]
     placed = sorted((p for p in placed if np.isfinite(p[0])), key=lambda p: p[0])[:DESCENTS]
     steps = max_steps if len(placed) == 1 else FIRST_STEPS
-    found = [_descend(passes, values, steps) for _, values in placed]
+    found = [_descend(passes, values, steps, tolerance) for _, values in placed]
     found = [end for end in found if end.finite]
     if not found:
         return Descent(held, False, 0, ())
     best = min(found, key=lambda end: end.history[-1])
     if best.settled or len(placed) == 1:
         return best
-    last = _descend(passes, passes.box.values(best.entries), max_steps)
+    last = _descend(passes, passes.box.values(best.entries), max_steps, tolerance)
     history = (*best.history, *last.history[1:])
     return replace(last, steps=len(history) - 1, history=history)
 
@@ -139,24 +157,30 @@ def _with_linear(vector: Entries, passes: _Passes) -> tuple[float, Float[np.ndar
     return float(2 * found.cost), values
 
 
-def _descend(passes: _Passes, values: Float[np.ndarray, " n"], max_steps: int) -> Descent:
+def _descend(
+    passes: _Passes, values: Float[np.ndarray, " n"], max_steps: int, tolerance: float
+) -> Descent:
     """SciPy's descent from a place in the box."""
     passes.history = []
     box = passes.box
     values = np.clip(values, box.lower, box.upper)  # rounding may have led out
     if not np.isfinite(passes.rows(values)).all():
         return Descent(box.placed(passes.base, values), False, 0, ())
-    found = least_squares(
-        passes.residuals,
-        values,
-        passes.slopes,
-        (box.lower, box.upper),
-        x_scale="jac",
-        ftol=TOLERANCE,
-        xtol=TOLERANCE,
-        gtol=None,
-        max_nfev=max_steps,
-    )
+    # Where no number moves the light, as without any, SciPy's steps are 0 / 0.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = least_squares(
+            passes.residuals,
+            values,
+            passes.slopes,
+            (box.lower, box.upper),
+            x_scale="jac",
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=None,
+            max_nfev=max_steps,
+        )
+    if not np.isfinite(found.x).all():
+        return Descent(box.placed(passes.base, values), False, 0, ())
     mask = found.active_mask
     values = np.select([mask < 0, mask > 0], [box.lower, box.upper], found.x)
     return Descent(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from model_jax import Layers, Look
 
 from .._choices import JpegHandling, LossName, Sampling
+from .._selection import Selection
 from ..photo._columns import PhotoLike, size_of
 from ._layout import Layout
 from ._parameters import FitParameter
@@ -25,6 +26,8 @@ class Task:
     max_steps: int
     named: bool
     """The user named what is free."""
+    selection: Selection | None = None
+    """How the look's terms were chosen; None where they were named."""
 
     @property
     def blurs(self) -> bool:

@@ -146,6 +146,16 @@ class AirLook(Look):
         "upwelling": ("density", "sun"),
     }
 
+    TERM_OFF: ClassVar[dict[str, dict[str, float]]] = {
+        "top": {"top": 1e30},
+        "saturation": {"extinction": 0.0},
+        "upwelling": {"upwelling": 0.0},
+        "phase": {"aerosol": 1.0, "asymmetry": 0.0},  # haze that scatters alike in all directions
+        "ground": {"ground": 1.0},
+    }
+    # Not density-rgb: a second form of density, which takes three times as long.
+    CHOICES = ("density", "saturation", "top", "phase", "ground", "sun", "upwelling")
+
     @classmethod
     def with_terms(cls, terms: Iterable[str]) -> type[Look]:
         return _with_terms(tuple(name for name in cls.TERMS if name in _known(cls, terms)))

@@ -21,6 +21,10 @@ GROUP = "airlight.looks"
 
 BUILT_IN: dict[str, type[Look]] = {kind.NAME: kind for kind in (LayersLook, AirLook)}
 
+AUTO: tuple[type[Look], type[Look]] = (LayersLook, AirLook)
+"""What a fit chooses of where nobody names a look: the plain one, and that whose terms may be added
+to it."""
+
 
 def looks() -> dict[str, type[Look]]:
     """Every look that can be named: the built-in ones, then those of installed packages.

@@ -99,7 +99,8 @@ def test_the_command_line_says_so(
     (tmp_path / "true.toml").write_text(bare + values)
     (tmp_path / "scene.toml").write_text(bare)
     assert airlight("render", "true.toml", "-o", "photo.exr") == 0
-    asked = ("fit", "scene.toml", "photo.exr", "--sampling", "point", "-o", "out")
+    named = ("--look", "layers", "--sampling", "point")
+    asked = ("fit", "scene.toml", "photo.exr", *named, "-o", "out")
     assert airlight(*asked) == 1
     assert "The look does not match" in capsys.readouterr().out
     assert airlight(*asked, "--accept-misfit") == 0

@@ -75,6 +75,7 @@ def document(**changes: Any) -> dict[str, Any]:
         "message": "The fit converged; it explains 99.81 % of the light's variance in the pixels "
         "used.",
         "warnings": [],
+        "selection": None,
         "parameters": LOOK | held_response(),
         "correlation": {
             "names": ["brightness", "shadow"],

@@ -1,0 +1,219 @@
+"""Which terms of a look photos support: `look="auto"`.
+
+    few pixels ──> all terms of the cheapest program ──> noise is left? ──no──> of the next, dearer
+                                                              │ yes
+                            leave out, one by one, the term that costs nothing ──> BIC of the rest
+
+The sets of terms are tried in `_trial`; only the winner is compiled and fitted to all pixels.
+Whether a term is worth its parameters is asked at the number of independent samples: light left
+over hangs together from pixel to pixel, and so many pixels would make any term look certain.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool
+
+from model_jax import Layers, Look
+from model_jax._fields import air_width
+from model_jax.looks._registry import AUTO
+
+from ._choices import Where
+from ._selection import Selection, TermChoice
+from ._trial import LEAST_PIXELS, Declare, End, Trial, few_pixels, like
+from .diagnose._effective import scattered_samples
+from .photo._columns import Columns
+from .solve._task import Task
+
+FAINT = 2e-2
+"""Light, as a share of all, that is not worth a term: a step of 8 bits at middle grey, and what
+JPEG makes of colours by an edge."""
+
+DOUBT = 4.0
+"""Standard deviations from which a sample is doubted, as Cauchy's loss does (`_evidence`)."""
+NEAR = 0.1
+"""Most room below the highest code, as a share of its light: where a look matches badly, what is
+left over is no noise."""
+
+DEAR = "nothing is left over that hangs together from pixel to pixel"
+VAIN = "it explains no more"
+"""Why a term is left out that was not compared."""
+
+_PLAIN, _TERMS = AUTO
+
+
+@dataclass(frozen=True)
+class Auto:
+    """Choose the look's terms."""
+
+    start: Look = field(default_factory=_PLAIN)
+    """Start values of what all sets of terms have."""
+
+
+def choose_look(task: Task, where: Where, declared: Declare) -> tuple[Look, Selection | None]:
+    """The look whose terms the photos support, with the start's values, and how it was chosen.
+
+    Args:
+        task: as asked, of the look without terms.
+
+    Returns:
+        The start and None where there is nothing to choose by.
+    """
+    used = few_pixels(task, where)
+    if used is None:
+        return task.look, None
+    trial = Trial(task, used, declared)
+    first = trial.program(trial.stages[0]).best()
+    believed = _believed(first)
+    if believed is not None:
+        trial = Trial(task, believed, declared)
+        first = trial.program(trial.stages[0]).best()
+    kind, selection = _choose(trial, first)
+    return like(kind, task.look), selection
+
+
+def _believed(first: "End") -> list[Bool[np.ndarray, "h w"]] | None:
+    """The pixels, without those that may be clipped, and of a robust loss without those it doubts;
+    None if these are all.
+
+    By what all terms make of them: of light chosen by what was measured noise would look like air
+    that saturates. Samples at the lowest code count as measured.
+    """
+    trial = first.program.trial
+    robust = trial.task.loss != "linear"
+    found, changed = [], False
+    for used, columns, clipped, left in zip(
+        trial.used, first.program.problem.columns, trial.clipped, first.left_over, strict=True
+    ):
+        noise = 1.4826 * float(np.median(np.abs(left))) if left.size else 0.0
+        doubted = np.zeros(len(left), bool)
+        if (clipped > 0).any():
+            limit = float(columns.light[clipped > 0].min())
+            near = columns.light - left > limit - min(DOUBT * noise, NEAR * limit)
+            doubted |= (near | (clipped > 0)).any(axis=1)
+        if robust:
+            doubted |= (np.abs(left) > DOUBT * noise).any(axis=1)
+        rest = used.copy()
+        rest.reshape(-1)[columns.index[doubted]] = False
+        changed |= bool(doubted.any())
+        found.append(rest)
+    enough = sum(int(used.sum()) for used in found) >= LEAST_PIXELS
+    return found if changed and enough else None
+
+
+def _choose(trial: Trial, first: End) -> tuple[type[Look], Selection]:
+    """From the richest set that has something to explain, backwards.
+
+    Args:
+        first: the best of all terms of the cheapest program.
+    """
+    dear: set[str] = set()
+    vain: set[str] = set()
+    best = first
+    for k, stage in enumerate(trial.stages):
+        program = trial.program(stage)
+        found = program.best([best]) if k else best
+        if found.square_sum > best.square_sum:
+            vain = set(found.terms - best.terms)
+        else:
+            best = found
+        count, independent = scattered_samples(best.places, best.left_over)
+        if independent:
+            dear = {t for later in trial.stages[k + 1 :] for t in trial.program(later).terms}
+            dear -= program.terms
+            break
+    columns = best.program.problem.columns
+    uncredited = FAINT**2 * sum(float((c.light**2).sum()) for c in columns)
+    if trial.task.sampling == "area":
+        uncredited += sum(map(_bent, trial.task.layers, columns))
+    compared = [t for t in _TERMS.CHOICES if t not in trial.absent and t not in dear]
+    each = 2 * np.log(max(len(compared), 1))
+    tiny = float(np.finfo(np.float64).tiny)
+
+    def gain(end: End, best: End) -> float:
+        """BIC of the smaller set less that of the larger, as Chen and Chen, Biometrika 95, 759,
+        2008, have it (γ = 1 for single terms): of many terms one looks worth it by chance."""
+        least = max(end.square_sum - uncredited, best.square_sum)
+        told = count * np.log((least + tiny) / (best.square_sum + tiny))
+        more = best.parameters - end.parameters
+        return float(told - np.log(count) * more - each * len(best.terms - end.terms))
+
+    told: dict[str, float] = {}
+    while True:
+        ordered = [term for term in _TERMS.CHOICES if term in best.terms]
+        groups = {term: _with(trial, best, term) for term in ordered}
+        alone = {term: group for term, group in groups.items() if len(group) == 1}
+        # What others hang on is dearer to try, and only once none of them can go alone.
+        for tried in (alone, {t: group for t, group in groups.items() if t not in alone}):
+            without = {term: _without(trial, best, group) for term, group in tried.items()}
+            gains = {term: gain(end, best) for term, end in without.items()}
+            told |= gains
+            worst = min(gains, key=lambda term: gains[term], default="")
+            if worst and gains[worst] <= 0:
+                break
+        else:
+            break
+        best = without[worst]
+    kind = _TERMS.with_terms(best.terms) if best.terms else _PLAIN
+    samples = sum((3 - len(c.copies)) * len(c.index) for c in best.program.problem.columns)
+    untold = dict.fromkeys(dear, DEAR) | dict.fromkeys(vain, VAIN)
+    return kind, Selection(_rows(trial, best, told, untold), samples, count)
+
+
+def _with(trial: Trial, best: End, term: str) -> frozenset[str]:
+    """A term, and what goes with it: what needs it, and what cannot be held and has its parameters,
+    with all that needs that."""
+    gone, new = frozenset[str](), frozenset([term])
+    while new:
+        gone |= new
+        new = frozenset(
+            other
+            for other in best.terms - gone
+            if gone & set(_TERMS.TERM_NEEDS.get(other, ()))
+            or (
+                other in trial.hard
+                and any(set(trial.own(other)) & set(trial.own(one)) for one in gone)
+            )
+        )
+    return gone
+
+
+def _without(trial: Trial, best: End, gone: frozenset[str]) -> End:
+    """The best without some of its terms."""
+    program = trial.program(best.program.hard - gone)
+    return program.fit(best.terms - gone, [best], spread=program is not best.program)
+
+
+def _rows(
+    trial: Trial, best: End, told: dict[str, float], untold: dict[str, str]
+) -> tuple[TermChoice, ...]:
+    kind = _TERMS
+    rows = []
+    for term in kind.CHOICES:
+        why = ""
+        if term in trial.absent:
+            why = trial.absent[term]
+        elif term in untold:
+            why = untold[term]
+        elif term in best.terms and len(group := _with(trial, best, term)) > 1:
+            others = [other for other in kind.CHOICES if other in group and other != term]
+            why = f"with {' and '.join(others)}, which hang on it"
+        own = tuple(trial.own(term))
+        rows.append(
+            TermChoice(term, term in best.terms, told.get(term), own, kind.TERMS[term], why)
+        )
+    return tuple(rows)
+
+
+def _bent(layers: Layers, columns: Columns) -> float:
+    """Square sum of what means over pixels' squares may differ by from light in their middles.
+
+    A mean over a square of side 1 differs by a 24th of the second differences; of the light those
+    of the air's width are told, which hang on no look.
+    """
+    width = np.nan_to_num(np.where(layers.has_air, np.asarray(air_width(layers), np.float64), 0.0))
+    padded = np.pad(width, 1)
+    bend = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:] - 4 * width
+    seen, bend = width.reshape(-1)[columns.index], bend.reshape(-1)[columns.index] / 24
+    gain = columns.light.T @ seen / max(float(seen @ seen), np.finfo(np.float64).tiny)
+    return float((gain**2).sum() * (bend @ bend))

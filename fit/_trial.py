@@ -1,0 +1,250 @@
+"""Sets of a look's terms, tried on few pixels.
+
+One program serves all sets whose other terms can be held at values with which they do nothing
+(`Look.TERM_OFF`): a number of them costs a compilation each, however many terms there are.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Int8
+
+from model_jax import Look
+from model_jax._errors import InputError
+from model_jax.looks._registry import AUTO
+
+from ._choices import Where
+from ._compile import float64
+from ._rounds import make_problem
+from .diagnose._remarks import leave_out
+from .diagnose._residuals import residuals_of
+from .photo._columns import Columns, light_at, take_columns
+from .photo._pixels import choose_pixels, edges_of
+from .solve._approach import approach
+from .solve._parameters import Entries, FitParameter, free_directions, to_entries
+from .solve._problem import Problem, one_in_grey, within_scene
+from .solve._task import Task
+
+MOST_SAMPLES = 4096
+"""Samples looked at, three to a pixel: a term that tells a hundredth of what is left over gains 40
+in BIC."""
+LEAST_PIXELS = 64
+"""Pixels below which nothing is chosen: BIC is of many samples."""
+
+STEPS = 80
+TOLERANCE = 1e-6
+"""Most steps of a descent, and the relative change of square sum and values at which it ends: of
+BIC 4e-3 at `MOST_SAMPLES`."""
+
+_SEED = 20
+
+_TERMS = AUTO[1]
+
+Declare = Callable[[Look], tuple[FitParameter, ...]]
+"""Parameters of a look, with all that was asked of them."""
+
+
+def like(kind: type[Look], start: Look) -> Look:
+    """A look of a kind with another's values."""
+    return kind(**{name: getattr(start, name) for name in type(start).PARAMETERS})
+
+
+def few_pixels(task: Task, where: Where) -> list[Bool[np.ndarray, "h w"]] | None:
+    """Pixels to look at, of each photo; None where there are too few, or all are black."""
+    rng = np.random.default_rng(_SEED)
+    chosen = []
+    for photo, layers in zip(task.photos, task.layers, strict=True):
+        used = choose_pixels(photo, layers, task.sampling, where).used
+        if task.sampling == "area":  # where air is hardly more than edges these are used
+            used = used & ~np.logical_or.reduce(list(edges_of(layers).values()))
+        chosen.append(used)
+    total = sum(int(used.sum()) for used in chosen)
+    share = min(1.0, MOST_SAMPLES // 3 / max(total, 1))
+    found, light = [], False
+    for photo, used in zip(task.photos, chosen, strict=True):
+        index = np.flatnonzero(used)
+        few = np.zeros(used.shape, bool)
+        few.reshape(-1)[rng.permutation(index)[: int(np.ceil(share * len(index)))]] = True
+        light |= bool(light_at(photo, np.flatnonzero(few)).any())
+        found.append(few)
+    return found if light and sum(int(few.sum()) for few in found) >= LEAST_PIXELS else None
+
+
+@dataclass(frozen=True)
+class End:
+    """The best of a set of terms."""
+
+    program: "Program"
+    terms: frozenset[str]
+    vector: Entries
+    square_sum: float
+    parameters: int
+
+    @property
+    def left_over(self) -> list[Float[np.ndarray, "_ 3"]]:
+        """Residuals of each photo's pixels."""
+        return residuals_of(self.program.problem, self.vector)
+
+    @property
+    def places(self) -> list[Int[np.ndarray, "2 _"]]:
+        """Row and column of each."""
+        sizes = self.program.trial.task.sizes
+        columns = self.program.problem.columns
+        return [
+            np.stack(np.divmod(c.index, size[1])) for c, size in zip(columns, sizes, strict=True)
+        ]
+
+
+class Program:
+    """A look with all terms that go with some which cannot be held, and its samples."""
+
+    def __init__(self, trial: "Trial", hard: tuple[str, ...]) -> None:
+        kind = _TERMS
+        needs = kind.TERM_NEEDS
+        soft = [
+            term
+            for term in trial.soft
+            if set(needs.get(term, ())) <= set(hard) and term not in trial.absent
+        ]
+        self.hard = frozenset(hard)
+        self.kind = kind.with_terms([*hard, *soft])
+        owned = {family for term in hard for family in trial.own(term)}
+        # What shares its parameters with a term that cannot be held is there with it.
+        self.bound = frozenset(t for t in soft if owned & set(trial.own(t)))
+        self.soft = frozenset(soft) - self.bound
+        self.trial = trial
+
+    @property
+    def terms(self) -> frozenset[str]:
+        return self.hard | self.bound | self.soft
+
+    @cached_property
+    def problem(self) -> Problem:
+        return self._made[0]
+
+    @cached_property
+    def asked(self) -> tuple[FitParameter, ...]:
+        return self._made[1]
+
+    @cached_property
+    def _made(self) -> tuple[Problem, tuple[FitParameter, ...]]:
+        task, columns = self.trial.task_of(self.kind)
+        return make_problem(task, columns).whole(), leave_out(task, columns)[0]
+
+    def fit(self, terms: frozenset[str], starts: Sequence[End] = (), spread: bool = True) -> End:
+        """The best with some of the terms, from given ends and from starts that are spread."""
+        problem = self.problem
+        held = to_entries(problem.parameters)
+        off = {
+            family: value
+            for term in self.soft - terms
+            for family, value in _TERMS.TERM_OFF[term].items()
+        }
+        for p in problem.parameters:
+            if p.family in off:
+                held[list(p.entries)] = off[p.family]
+        free = [p for p in self.asked if p.family not in off]
+        near = [self._moved(end, held, free) for end in starts]
+        with float64():
+            found = approach(
+                problem,
+                held,
+                free,
+                STEPS,
+                None if spread else near,
+                more=near if spread else (),
+                tolerance=TOLERANCE,
+                most=free_directions(self.asked, problem.parameters)[0].shape[1],
+            )
+        square_sum = found.history[-1] if found.finite and found.history else np.inf
+        count = free_directions(free, problem.parameters)[0].shape[1]
+        return End(self, terms, found.entries, float(square_sum), count)
+
+    def best(self, starts: Sequence[End] = ()) -> End:
+        """The best with all terms; from that without what can be held, too."""
+        return self.fit(self.terms, [*starts, self.fit(self.hard | self.bound, starts)])
+
+    def _moved(self, end: End, held: Entries, free: Sequence[FitParameter]) -> Entries:
+        """Another set's end as a start, by the names of what is free here."""
+        known = {p.name: float(p.of(end.vector)) for p in end.program.problem.parameters}
+        off = _TERMS.TERM_OFF
+        gone = {f for t in end.program.soft - end.terms for f in off[t]}
+        start = held.copy()
+        for p in self.problem.parameters:
+            free_here = any(q.name == (p.tied_to or p.name) for q in free)
+            if free_here and p.name in known and p.family not in gone:
+                start[list(p.entries)] = known[p.name]
+        return start
+
+
+class Trial:
+    """Few pixels, and the programs that were tried on them."""
+
+    def __init__(self, task: Task, used: list[Bool[np.ndarray, "h w"]], declared: Declare) -> None:
+        self.task, self.used, self.declared = task, used, declared
+        self.clipped: list[Int8[np.ndarray, "_ 3"]] = []
+        """Of each photo's samples 1: at least this bright, -1: at most, 0: measured."""
+        kind = _TERMS
+        self.soft = [term for term in kind.CHOICES if term in kind.TERM_OFF]
+        self.hard = [term for term in kind.CHOICES if term not in kind.TERM_OFF]
+        self.absent: dict[str, str] = {}
+        """Why layers and pixels cannot tell a term."""
+        self._programs: dict[frozenset[str], Program] = {}
+        for term in kind.CHOICES:
+            why = self._why_absent(term)
+            if why:
+                self.absent[term] = why
+
+    def own(self, term: str) -> list[str]:
+        """Families of the parameters that a term brings."""
+        kind = _TERMS
+        needed = kind.TERM_NEEDS.get(term, ())
+        before = kind.with_terms(needed).PARAMETERS
+        return [f for f in kind.with_terms([*needed, term]).PARAMETERS if f not in before]
+
+    def task_of(self, kind: type[Look]) -> tuple[Task, tuple[Columns, ...]]:
+        """The task for a kind of look on the few pixels. Raises `InputError` naming a field that
+        the layers cannot give."""
+        task, look = self.task, like(kind, self.task.look)
+        unit = float(task.layers[0].width_unit)
+        taken = [
+            take_columns(photo, layers, used, unit, kind)
+            for photo, layers, used in zip(task.photos, task.layers, self.used, strict=True)
+        ]
+        none = [np.zeros(c.light.shape, np.int8) for c in taken]
+        self.clipped = [
+            n if c.clipped is None else c.clipped for c, n in zip(taken, none, strict=True)
+        ]
+        columns = tuple(replace(c, clipped=None) for c in taken)
+        parameters = within_scene(self.declared(look), columns)
+        parameters = one_in_grey(parameters, columns, kind.GROUND)
+        return replace(task, look=look, parameters=parameters, loss="linear"), columns
+
+    @cached_property
+    def stages(self) -> list[frozenset[str]]:
+        """Terms that cannot be held, cheapest programs first."""
+        hard = [term for term in self.hard if term not in self.absent]
+        return [frozenset(hard[: k + 1]) for k in range(len(hard))] or [frozenset()]
+
+    def program(self, hard: frozenset[str]) -> Program:
+        if hard not in self._programs:
+            self._programs[hard] = Program(self, tuple(t for t in self.hard if t in hard))
+        return self._programs[hard]
+
+    def _why_absent(self, term: str) -> str:
+        """Why a term cannot be told; empty where it can."""
+        kind = _TERMS
+        needed = kind.TERM_NEEDS.get(term, ())
+        for other in needed:
+            if other in self.absent:
+                return self.absent[other]
+        try:
+            task, columns = self.task_of(kind.with_terms([*needed, term]))
+        except InputError as error:
+            return "the " + str(error).split(",")[0].replace("layers: ", "layers ", 1)
+        asked, left_out = leave_out(task, columns)
+        if any(p.family in self.own(term) for p in asked):
+            return ""
+        return next((item.why for item in left_out if item.what in self.own(term)), "it is held")
