@@ -12,8 +12,10 @@ help: ## Say what the targets do
 setup: $(ready) ## Make .venv from the lock file and find an OpenGL driver
 
 demo: $(ready) ## Fit the example photo and write demo/report.html
-	$(bin)/airlight fit examples/reference.toml examples/reference.png -o demo --look air --terms density,saturation,sun
+	$(bin)/airlight fit examples/reference.toml examples/reference.png -o demo
 	@echo "Report: $(CURDIR)/demo/report.html"
+	@echo "Next: the same of a photo of yours, with a scene such as examples/epic.toml (README.md, Scenes);"
+	@echo "      $(bin)/airlight export demo/fit.json --to glsl  prints the look for a shader"
 
 test: $(ready) ## Run the tests; options for pytest go into PYTEST_ARGS
 	$(bin)/python -m pytest -m "not full" -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(PYTEST_ARGS)

@@ -1,7 +1,7 @@
 """How much of the light around real planets each look explains: the README's table.
 
     python examples/photos.py                       # every photo, `layers` and the look below
-    python examples/photos.py crescent --look air+density
+    python examples/photos.py crescent --look air+density auto
 
 Each photo's ring is fitted, every pixel of it; with `+blur`, ring and sky. Of the whole Earth and
 of the limb scenes come from positions and lens (`make_photo_scenes.py`); of the others from the
@@ -30,7 +30,7 @@ from fit import FitResult, fit, load_photo
 from model_jax import Atmosphere, Camera, Planet, Response, Scene, Sun, analytic_layers, find_look
 from render_gl import load_scene
 
-LOOKS = ("layers", "air+density+saturation")
+LOOKS = ("layers", "air+density+saturation", "auto")
 SHELL = 100.0
 """Height of the shell, km: thinning air ends by itself."""
 EPIC_DAYS = {
@@ -86,16 +86,18 @@ def photos(data: Path) -> dict[str, tuple[str, Callable[[], Scene]]]:
 
 def fit_ring(photo: Path, scene: Scene, look: str) -> FitResult:
     """The ring of a photo, every pixel, all that the look has free; with a blur as it comes."""
-    kind = find_look(look.removesuffix("+blur"))
+    kind = find_look("layers" if look == "auto" else look.removesuffix("+blur"))
     names = [n for n in kind.PARAMETERS if n != "shadow" or scene.sun is not None]
     layers, picture = analytic_layers(scene), load_photo(photo)
+    if look == "auto":  # what its terms bring is free besides
+        return fit(picture, layers, "auto", where="ring", sampling="point", free=names)
     if look.endswith("+blur"):
         return fit(picture, layers, kind(), response=Response(blur=1.0), free=[*names, "blur"])
     return fit(picture, layers, kind(), where="ring", sampling="point", free=names)
 
 
 def cell(result: FitResult) -> str:
-    """Explained share, verdict, and the scale height if there is one."""
+    """Explained share, verdict, the scale height if there is one, and the terms if chosen."""
     explained = "–" if result.explained is None else f"{result.explained:.1%}"
     height = result.parameters.get("scale_height")
     if height is not None:
@@ -103,6 +105,8 @@ def cell(result: FitResult) -> str:
     blur = result.parameters.get("blur")
     if blur is not None:
         explained += f", {blur.value:.2f} px"
+    if result.selection is not None:
+        explained += f", {' '.join(result.selection.taken) or 'no term'}"
     return f"{explained}, {result.verdict}"
 
 

@@ -9,12 +9,12 @@ Whether a term is worth its parameters is asked at the number of independent sam
 over hangs together from pixel to pixel, and so many pixels would make any term look certain.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool
 
-from model_jax import Layers, Look
+from model_jax import InputError, Layers, Look
 from model_jax._fields import air_width
 from model_jax.looks._registry import AUTO
 
@@ -50,26 +50,38 @@ class Auto:
     """Start values of what all sets of terms have."""
 
 
-def choose_look(task: Task, where: Where, declared: Declare) -> tuple[Look, Selection | None]:
-    """The look whose terms the photos support, with the start's values, and how it was chosen.
+def check_sharp(blurs: bool) -> None:
+    """Raise `InputError` for photos with a blur."""
+    if blurs:
+        raise InputError(
+            "fit: look='auto' chooses no terms of blurred photos; name them, such as "
+            "air+density+saturation, or leave out the blur"
+        )
+
+
+def choose_terms(task: Task, where: Where, declared: Declare) -> Task:
+    """The task for the look whose terms the photos support, with the start's values.
 
     Args:
-        task: as asked, of the look without terms.
-
-    Returns:
-        The start and None where there is nothing to choose by.
+        task: as asked, of the look without terms. It stays where there is nothing to choose by.
     """
     used = few_pixels(task, where)
     if used is None:
-        return task.look, None
+        return task
     trial = Trial(task, used, declared)
     first = trial.program(trial.stages[0]).best()
     believed = _believed(first)
     if believed is not None:
         trial = Trial(task, believed, declared)
         first = trial.program(trial.stages[0]).best()
-    kind, selection = _choose(trial, first)
-    return like(kind, task.look), selection
+    best, selection = _choose(trial, first)
+    if not best.terms:
+        return replace(task, selection=selection)
+    look = like(_TERMS.with_terms(best.terms), task.look)
+    parameters = declared(look)
+    return replace(
+        task, look=look, parameters=parameters, selection=selection, seed=best.placed(parameters)
+    )
 
 
 def _believed(first: "End") -> list[Bool[np.ndarray, "h w"]] | None:
@@ -101,7 +113,7 @@ def _believed(first: "End") -> list[Bool[np.ndarray, "h w"]] | None:
     return found if changed and enough else None
 
 
-def _choose(trial: Trial, first: End) -> tuple[type[Look], Selection]:
+def _choose(trial: Trial, first: End) -> tuple[End, Selection]:
     """From the richest set that has something to explain, backwards.
 
     Args:
@@ -154,10 +166,9 @@ def _choose(trial: Trial, first: End) -> tuple[type[Look], Selection]:
         else:
             break
         best = without[worst]
-    kind = _TERMS.with_terms(best.terms) if best.terms else _PLAIN
     samples = sum((3 - len(c.copies)) * len(c.index) for c in best.program.problem.columns)
     untold = dict.fromkeys(dear, DEAR) | dict.fromkeys(vain, VAIN)
-    return kind, Selection(_rows(trial, best, told, untold), samples, count)
+    return best, Selection(_rows(trial, best, told, untold), samples, count)
 
 
 def _with(trial: Trial, best: End, term: str) -> frozenset[str]:

@@ -23,7 +23,7 @@ from model_jax._kinds import need
 from model_jax._shapes import is_traced
 from model_jax.looks._registry import checked
 
-from ._auto import Auto, Declare, choose_look
+from ._auto import Auto, check_sharp, choose_terms
 from ._choices import AUTO, Where, check_jpeg, check_loss, check_sampling, check_steps, check_where
 from ._compile import float64
 from ._estimates import debias_jpeg, photo_results
@@ -208,7 +208,8 @@ def fit(
         if auto is None:
             return _fit(_only_needed(task), pixels)
         started = perf_counter()
-        task = _chosen(task, pixels, declared)
+        check_sharp(task.blurs)
+        task = choose_terms(task, pixels, declared)
         seconds = {"choose": perf_counter() - started}
         result = _fit(_only_needed(task), pixels)
         return replace(result, seconds=seconds | result.seconds)
@@ -229,17 +230,6 @@ def _auto_of(look: Any) -> Auto | None:
             f"look: {shown(look)} is a name; give 'auto', or find_look({shown(look)})()"
         )
     return look if isinstance(look, Auto) else None
-
-
-def _chosen(task: Task, where: Where, declared: Declare) -> Task:
-    """The task for the look whose terms the photos support."""
-    if task.blurs:
-        raise InputError(
-            "fit: look='auto' chooses no terms of blurred photos; name them, such as "
-            "air+density+saturation, or leave out the blur"
-        )
-    look, selection = choose_look(task, where, declared)
-    return replace(task, look=look, parameters=declared(look), selection=selection)
 
 
 def _fit_traced(
@@ -299,7 +289,8 @@ def _fit(task: Task, where: Where) -> FitResult:
     problem = make_problem(task, columns)
     columns = problem.columns
     times.append(perf_counter())
-    problem, end = search_in_rounds(task, problem, asked)
+    seeds = None if task.seed is None else [task.seed]
+    problem, end = search_in_rounds(task, problem, asked, seeds)
     for _ in range(WIDER if task.blurs and end.finite else 0):
         found = task.layout.responses(end.vector)[:, -1]
         if (found <= widths).all():

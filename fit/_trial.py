@@ -82,6 +82,15 @@ class End:
     square_sum: float
     parameters: int
 
+    def placed(self, parameters: Sequence[FitParameter]) -> Entries:
+        """Its numbers where others have the same names, else their start values."""
+        known = {p.name: float(p.of(self.vector)) for p in self.program.problem.parameters}
+        vector = to_entries(parameters)
+        for p in parameters:
+            if p.role != "fixed" and p.name in known:
+                vector[list(p.entries)] = known[p.name]
+        return vector
+
     @property
     def left_over(self) -> list[Float[np.ndarray, "_ 3"]]:
         """Residuals of each photo's pixels."""

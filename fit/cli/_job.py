@@ -33,7 +33,7 @@ from model_jax import (
 from model_jax._errors import printable
 from render_gl._files import path_text
 
-from .._auto import Auto
+from .._auto import Auto, check_sharp
 from .._choices import (
     AUTO,
     LayerSource,
@@ -122,6 +122,8 @@ def run_job(
     look, responses = start_values(job, files[0].look if files else _asked(named))
     asked: Any = Auto(look) if job.look == AUTO or _is_open(job, files) else look
     _check_names(job, look, responses)  # slips are found out before the work, not after
+    if isinstance(asked, Auto):
+        check_sharp(job.blurs)
     folder = prepare_folder(out)
     map_large_blocks()
     views: list[PhotoView] = []

@@ -54,12 +54,12 @@ each further bin has twice as many."""
 def scattered_samples(
     places: Sequence[Int[np.ndarray, "2 _"]], residuals: Sequence[Float[np.ndarray, "_ 3"]]
 ) -> tuple[float, bool]:
-    """Number of independent samples that tell as much as those of scattered pixels, and whether
-    these are independent of their neighbours.
+    """Number of independent samples whose square sum tells as much as that of scattered pixels, and
+    whether these are independent of their neighbours.
 
-    Of n samples whose residuals have correlations ρ it is n / (1 + Σ ρ / n) over pairs, up to the
+    Of n samples whose residuals have correlations ρ it is n / (1 + Σ ρ² / n) over pairs, up to the
     distance where the mean correlation is `QUIET`, or what chance leaves of none, three standard
-    errors; times the channels that vary independently, as `effective_samples`.
+    errors; times the channels that vary independently, as `effective_samples` with `squares`.
 
     Args:
         places: row and column of the pixels of each photo.
@@ -80,20 +80,22 @@ def scattered_samples(
 
 
 def _inflation(place: Int[np.ndarray, "2 n"], residual: Float[np.ndarray, "n 3"]) -> float:
-    """Variance of a mean of residuals over that of independent ones; 1 where neighbours are."""
+    """Variance of a square sum of residuals over that of independent ones; 1 where neighbours
+    are."""
     first, second = np.triu_indices(place.shape[1], 1)
     apart = np.hypot(*(place[:, first] - place[:, second]))
     near = np.argsort(apart, kind="stable")
     products = np.einsum("ni,ni->n", residual[first[near]], residual[second[near]])
-    own = float((residual**2).sum())
-    mean, added, start, many = own / len(residual), 0.0, 0, _PAIRS
+    mean = float((residual**2).sum()) / len(residual)
+    added, start, many = 0.0, 0, _PAIRS
     while start < len(products):
         part = products[start : start + many]
-        if part.mean() < max(QUIET, 3 / np.sqrt(len(part))) * mean:
+        correlation = float(part.mean()) / mean
+        if correlation < max(QUIET, 3 / np.sqrt(len(part))):
             break
-        added += 2 * float(part.sum())
+        added += 2 * len(part) * correlation**2
         start, many = start + many, 2 * many
-    return 1 + max(added, 0.0) / own
+    return 1 + added / len(residual)
 
 
 _LAGS = 64

@@ -8,7 +8,7 @@ from .._choices import JpegHandling, LossName, Sampling
 from .._selection import Selection
 from ..photo._columns import PhotoLike, size_of
 from ._layout import Layout
-from ._parameters import FitParameter
+from ._parameters import Entries, FitParameter
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,8 @@ class Task:
     """The user named what is free."""
     selection: Selection | None = None
     """How the look's terms were chosen; None where they were named."""
+    seed: Entries | None = None
+    """Where choosing them ended, and the fit begins."""
 
     @property
     def blurs(self) -> bool:

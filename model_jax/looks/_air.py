@@ -37,6 +37,7 @@ def _shadow(of: str) -> Any:
     return parameter(
         "light of shadowed air as a share of lit air",
         lower=0.0,
+        upper=1.0,
         default=0.2,
         of=of,
         shape="either",
@@ -69,8 +70,8 @@ def _parameters(term: str) -> dict[str, tuple[Any, Any]]:
         )
         asymmetry = parameter(
             "mean cosine of the angle by which haze turns light",
-            lower=-1.0,
-            upper=1.0,
+            lower=-0.95,
+            upper=0.95,
             default=0.76,
             of="sun_cos",
             source="Bruneton & Neyret, Precomputed Atmospheric Scattering, 2008",
@@ -89,6 +90,7 @@ def _parameters(term: str) -> dict[str, tuple[Any, Any]]:
         about = parameter(
             "light that comes from below under the sun in the zenith, as a share of sunlight",
             lower=0.0,
+            upper=10.0,
             default=0.2,
             shape="either",
             of="sunward",
