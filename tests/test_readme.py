@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from .command import mypy
+from .command import airlight, mypy
 
 ROOT = Path(__file__).resolve().parent.parent
 LINES = (ROOT / "README.md").read_text().splitlines()
@@ -42,6 +42,30 @@ def test_the_python_snippet_is_typed(tmp_path: Path) -> None:
     (tmp_path / "snippet.py").write_text(snippet)
     done = mypy(tmp_path / "snippet.py")
     assert done.returncode == 0, done.stdout
+
+
+def test_the_table_of_verdicts_is_what_happens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The demo's row is `make demo`, which CI's own test of it shows (`test_first_word`)."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    assert airlight("render", "examples/paper.toml", "-o", "paper.exr", "--size", "320x256") == 0
+    rows = [
+        [cell.strip().strip("`") for cell in line.strip("|").split("|")]
+        for line in LINES
+        if re.match(r"\| .* \| \d \| .* \| `airlight fit", line)
+    ]
+    assert len(rows) == 8
+    for verdict, code, says, command in rows:
+        if verdict == "at_bound":
+            continue
+        capsys.readouterr()
+        assert airlight(*command.split()[1:]) == int(code), command
+        told = capsys.readouterr()
+        said = " ".join((told.out + told.err).split())
+        assert says in said, command
+        assert verdict == "bad input" or said.startswith(verdict), command
 
 
 @pytest.mark.parametrize(

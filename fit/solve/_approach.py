@@ -166,8 +166,9 @@ def _descend(
     values = np.clip(values, box.lower, box.upper)  # rounding may have led out
     if not np.isfinite(passes.rows(values)).all():
         return Descent(box.placed(passes.base, values), False, 0, ())
-    # Where no number moves the light, as without any, SciPy's steps are 0 / 0.
-    with np.errstate(divide="ignore", invalid="ignore"):
+    # Where no number moves the light SciPy's steps are 0 / 0; where one moves it beyond all
+    # measure its powers overflow. Neither place is left for a better one, nor taken for one.
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         found = least_squares(
             passes.residuals,
             values,

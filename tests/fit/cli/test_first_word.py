@@ -217,7 +217,7 @@ def counted(folder: Path, *words: object, **variables: str) -> tuple[int, int]:
         env=environment | {"XDG_CACHE_HOME": str(folder / "cache")} | variables,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stderr in ("", "airlight: warning: the best fit lies at a bound\n")
+    assert done.stderr in ("", "airlight: warning: the best fit lies at a bound\n"), done.stderr
     asked, kept = map(int, (folder / "counts.txt").read_text().split())
     return asked, kept
 
@@ -228,7 +228,11 @@ def test_a_second_demo_compiles_nothing(tmp_path: Path) -> None:
     assert kept < 5 < 10 < asked, "only what one command asks for twice"
     programs = sorted((tmp_path / "cache" / "airlight" / "xla").glob("*-cache"))
     assert len(programs) > 10
-    values = json.loads((tmp_path / "demo" / "fit.json").read_text())["parameters"]
+    document = json.loads((tmp_path / "demo" / "fit.json").read_text())
+    values = document["parameters"]
+    assert document["verdict"] == "at_bound"
+    assert document["explained"] > 0.95
+    assert 0.85 < values["scale_height"]["value"] / 8 < 1.15, "km, of the march's molecules"
     asked, kept = counted(tmp_path, *DEMO)
     assert sorted((tmp_path / "cache" / "airlight" / "xla").glob("*-cache")) == programs, (
         "the same programs under the same names"
