@@ -181,10 +181,13 @@ def fit(
         auto = _auto_of(look)
         start = look if auto is None else auto.start
 
+        once = isinstance(free, Iterable) and not isinstance(free, str)
+        asked = tuple(free) if once else free
+
         def declared(look: Look) -> tuple[FitParameter, ...]:
             own = [name for name in type(look).PARAMETERS if name not in type(start).PARAMETERS]
-            asked = (free,) if isinstance(free, str) else free
-            names = asked if asked is None or not own else [*asked, *own]
+            named = (asked,) if isinstance(asked, str) else asked
+            names = named if named is None or not own else [*named, *own]
             return declare(look, responses, free=names, bounds=bounds, priors=priors, tied=tied)
 
         parameters = declared(start)
