@@ -12,15 +12,24 @@ over hangs together from pixel to pixel, and so many pixels would make any term 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Float
 
 from model_jax import InputError, Layers, Look
-from model_jax._fields import air_width
 from model_jax.looks._registry import AUTO
 
 from ._choices import Where
 from ._selection import Selection, TermChoice
-from ._trial import LEAST_PIXELS, Declare, End, Trial, few_pixels, like
+from ._trial import (
+    LEAST_PIXELS,
+    Declare,
+    End,
+    Trial,
+    Used,
+    count_of,
+    few_of,
+    like,
+    usable_pixels,
+)
 from .diagnose._effective import scattered_samples
 from .photo._columns import Columns
 from .solve._task import Task
@@ -65,16 +74,22 @@ def choose_terms(task: Task, where: Where, declared: Declare) -> Task:
     Args:
         task: as asked, of the look without terms. It stays where there is nothing to choose by.
     """
-    used = few_pixels(task, where)
-    if used is None:
-        return task
+    usable = usable_pixels(task, where)
+    used = few_of(usable)
+    if count_of(used) < LEAST_PIXELS:
+        return replace(task, selection=_untried(f"fewer than {LEAST_PIXELS} pixels have no edge"))
     trial = Trial(task, used, declared)
     first = trial.program(trial.stages[0]).best()
     believed = _believed(first)
     if believed is not None:
+        if count_of(believed) < LEAST_PIXELS:
+            why = f"fewer than {LEAST_PIXELS} pixels are neither white nor doubted"
+            return replace(task, selection=_untried(why))
         trial = Trial(task, believed, declared)
         first = trial.program(trial.stages[0]).best()
-    best, selection = _choose(trial, first)
+    if not first.light > 0 or not np.isfinite(first.square_sum):
+        return replace(task, selection=_untried("all air is black, or brighter than can be told"))
+    best, selection = _choose(trial, first, usable)
     if not best.terms:
         return replace(task, selection=selection)
     look = like(_TERMS.with_terms(best.terms), task.look)
@@ -84,7 +99,13 @@ def choose_terms(task: Task, where: Where, declared: Declare) -> Task:
     )
 
 
-def _believed(first: "End") -> list[Bool[np.ndarray, "h w"]] | None:
+def _untried(why: str) -> Selection:
+    """What is said where there is nothing to choose by."""
+    terms = tuple(TermChoice(t, False, None, (), _TERMS.TERMS[t], why) for t in _TERMS.CHOICES)
+    return Selection(terms, 0, 0.0)
+
+
+def _believed(first: End) -> Used | None:
     """The pixels, without those that may be clipped, and of a robust loss without those it doubts;
     None if these are all.
 
@@ -97,7 +118,8 @@ def _believed(first: "End") -> list[Bool[np.ndarray, "h w"]] | None:
     for used, columns, clipped, left in zip(
         trial.used, first.program.problem.columns, trial.clipped, first.left_over, strict=True
     ):
-        noise = 1.4826 * float(np.median(np.abs(left))) if left.size else 0.0
+        known = np.abs(left[np.isfinite(left)])  # a grey photo's copies are not
+        noise = 1.4826 * float(np.median(known)) if known.size else 0.0
         doubted = np.zeros(len(left), bool)
         if (clipped > 0).any():
             limit = float(columns.light[clipped > 0].min())
@@ -109,15 +131,15 @@ def _believed(first: "End") -> list[Bool[np.ndarray, "h w"]] | None:
         rest.reshape(-1)[columns.index[doubted]] = False
         changed |= bool(doubted.any())
         found.append(rest)
-    enough = sum(int(used.sum()) for used in found) >= LEAST_PIXELS
-    return found if changed and enough else None
+    return found if changed else None
 
 
-def _choose(trial: Trial, first: End) -> tuple[End, Selection]:
+def _choose(trial: Trial, first: End, usable: Used) -> tuple[End, Selection]:
     """From the richest set that has something to explain, backwards.
 
     Args:
         first: the best of all terms of the cheapest program.
+        usable: pixels of which those of the trial are some.
     """
     dear: set[str] = set()
     vain: set[str] = set()
@@ -128,14 +150,14 @@ def _choose(trial: Trial, first: End) -> tuple[End, Selection]:
         if found.square_sum > best.square_sum:
             vain = set(found.terms - best.terms)
         else:
-            best = found
+            best, vain = found, set()
         count, independent = scattered_samples(best.places, best.left_over)
-        if independent:
+        if independent and not trial.neighbours_agree(best, usable):
             dear = {t for later in trial.stages[k + 1 :] for t in trial.program(later).terms}
             dear -= program.terms
             break
     columns = best.program.problem.columns
-    uncredited = FAINT**2 * sum(float((c.light**2).sum()) for c in columns)
+    uncredited = FAINT**2 * best.light
     if trial.task.sampling == "area":
         uncredited += sum(map(_bent, trial.task.layers, columns))
     compared = [t for t in _TERMS.CHOICES if t not in trial.absent and t not in dear]
@@ -151,6 +173,7 @@ def _choose(trial: Trial, first: End) -> tuple[End, Selection]:
         return float(told - np.log(count) * more - each * len(best.terms - end.terms))
 
     told: dict[str, float] = {}
+    gone: dict[str, frozenset[str]] = {}
     while True:
         ordered = [term for term in _TERMS.CHOICES if term in best.terms]
         groups = {term: _with(trial, best, term) for term in ordered}
@@ -161,14 +184,16 @@ def _choose(trial: Trial, first: End) -> tuple[End, Selection]:
             gains = {term: gain(end, best) for term, end in without.items()}
             told |= gains
             worst = min(gains, key=lambda term: gains[term], default="")
-            if worst and gains[worst] <= 0:
+            if worst and not gains[worst] > 0:  # a NaN speaks for nothing
                 break
         else:
             break
         best = without[worst]
+        told |= dict.fromkeys(groups[worst], gains[worst])
+        gone |= dict.fromkeys(groups[worst], groups[worst])
     samples = sum((3 - len(c.copies)) * len(c.index) for c in best.program.problem.columns)
     untold = dict.fromkeys(dear, DEAR) | dict.fromkeys(vain, VAIN)
-    return best, Selection(_rows(trial, best, told, untold), samples, count)
+    return best, Selection(_rows(trial, best, told, gone, untold), samples, count)
 
 
 def _with(trial: Trial, best: End, term: str) -> frozenset[str]:
@@ -196,23 +221,29 @@ def _without(trial: Trial, best: End, gone: frozenset[str]) -> End:
 
 
 def _rows(
-    trial: Trial, best: End, told: dict[str, float], untold: dict[str, str]
+    trial: Trial,
+    best: End,
+    told: dict[str, float],
+    gone: dict[str, frozenset[str]],
+    untold: dict[str, str],
 ) -> tuple[TermChoice, ...]:
-    kind = _TERMS
+    """What is said of each term.
+
+    Args:
+        told: BIC for it.
+        gone: what was left out together with it.
+        untold: why it was not compared.
+    """
     rows = []
-    for term in kind.CHOICES:
-        why = ""
-        if term in trial.absent:
-            why = trial.absent[term]
-        elif term in untold:
-            why = untold[term]
-        elif term in best.terms and len(group := _with(trial, best, term)) > 1:
-            others = [other for other in kind.CHOICES if other in group and other != term]
-            why = f"with {' and '.join(others)}, which hang on it"
+    for term in _TERMS.CHOICES:
+        taken = term in best.terms
+        group = _with(trial, best, term) if taken else gone.get(term, frozenset())
+        others = [other for other in _TERMS.CHOICES if other in group and other != term]
+        why = trial.absent.get(term) or untold.get(term, "")
+        if others and not why:
+            why = f"together with {' and '.join(others)}"
         own = tuple(trial.own(term))
-        rows.append(
-            TermChoice(term, term in best.terms, told.get(term), own, kind.TERMS[term], why)
-        )
+        rows.append(TermChoice(term, taken, told.get(term), own, _TERMS.TERMS[term], why))
     return tuple(rows)
 
 
@@ -220,11 +251,24 @@ def _bent(layers: Layers, columns: Columns) -> float:
     """Square sum of what means over pixels' squares may differ by from light in their middles.
 
     A mean over a square of side 1 differs by a 24th of the second differences; of the light those
-    of the air's width are told, which hang on no look.
+    of the air's width are told, which hang on no look. Where a neighbour is not known there are
+    none.
     """
-    width = np.nan_to_num(np.where(layers.has_air, np.asarray(air_width(layers), np.float64), 0.0))
-    padded = np.pad(width, 1)
-    bend = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:] - 4 * width
-    seen, bend = width.reshape(-1)[columns.index], bend.reshape(-1)[columns.index] / 24
-    gain = columns.light.T @ seen / max(float(seen @ seen), np.finfo(np.float64).tiny)
+    front, back = np.asarray(layers.front), np.asarray(layers.back)
+    row, column = np.divmod(columns.index, front.shape[1])
+
+    def width(down: int, right: int) -> Float[np.ndarray, " n"]:
+        y, x = row + down, column + right
+        inside = (y >= 0) & (y < front.shape[0]) & (x >= 0) & (x < front.shape[1])
+        at = np.where(inside, y, row), np.where(inside, x, column)
+        with np.errstate(invalid="ignore"):
+            found = back[at].astype(np.float64) - front[at]
+        return found if layers.stretch is None else found * np.asarray(layers.stretch)[at]
+
+    here = width(0, 0)
+    bend = np.zeros(len(here))
+    for step in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        beside = width(*step)
+        bend += np.where(np.isfinite(beside), beside - here, 0) / 24
+    gain = columns.light.T @ here / max(float(here @ here), np.finfo(np.float64).tiny)
     return float((gain**2).sum() * (bend @ bend))

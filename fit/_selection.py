@@ -10,7 +10,8 @@ class TermChoice:
     term: str
     taken: bool
     delta_bic: float | None
-    """BIC of the terms without it less that with it, at the effective sample size: above 0 for it.
+    """Extended BIC of the terms without it less that with it, at the effective sample size, light
+    that is not worth a term uncounted (`_auto`): above 0 for it.
     Of what is taken beside all others that are; of what is not when it was left out. None where it
     was not compared."""
     parameters: tuple[str, ...]

@@ -18,9 +18,10 @@ from model_jax.looks._registry import AUTO
 from ._choices import Where
 from ._compile import float64
 from ._rounds import make_problem
+from .diagnose._effective import QUIET
 from .diagnose._remarks import leave_out
 from .diagnose._residuals import residuals_of
-from .photo._columns import Columns, light_at, take_columns
+from .photo._columns import Columns, take_columns
 from .photo._pixels import choose_pixels, edges_of
 from .solve._approach import approach
 from .solve._parameters import Entries, FitParameter, free_directions, to_entries
@@ -46,30 +47,47 @@ Declare = Callable[[Look], tuple[FitParameter, ...]]
 """Parameters of a look, with all that was asked of them."""
 
 
+Used = list[Bool[np.ndarray, "h w"]]
+"""Pixels of each photo."""
+
+
 def like(kind: type[Look], start: Look) -> Look:
-    """A look of a kind with another's values."""
-    return kind(**{name: getattr(start, name) for name in type(start).PARAMETERS})
+    """A look of a kind with another's values, as far as its ranges go."""
+    known, values = kind.PARAMETERS, {}
+    for name in type(start).PARAMETERS:
+        value, about = getattr(start, name), known[name]
+        values[name] = value if about.mean_one else np.clip(value, about.lower, about.upper)
+    return kind(**values)
 
 
-def few_pixels(task: Task, where: Where) -> list[Bool[np.ndarray, "h w"]] | None:
-    """Pixels to look at, of each photo; None where there are too few, or all are black."""
-    rng = np.random.default_rng(_SEED)
-    chosen = []
+def usable_pixels(task: Task, where: Where) -> Used:
+    """Pixels that a fit uses, but no edges, even where it has to use them: terms would explain
+    these."""
+    found = []
     for photo, layers in zip(task.photos, task.layers, strict=True):
         used = choose_pixels(photo, layers, task.sampling, where).used
-        if task.sampling == "area":  # where air is hardly more than edges these are used
+        if task.sampling == "area":
             used = used & ~np.logical_or.reduce(list(edges_of(layers).values()))
-        chosen.append(used)
-    total = sum(int(used.sum()) for used in chosen)
-    share = min(1.0, MOST_SAMPLES // 3 / max(total, 1))
-    found, light = [], False
-    for photo, used in zip(task.photos, chosen, strict=True):
+        found.append(used)
+    return found
+
+
+def few_of(usable: Used) -> Used:
+    """As many of them as are looked at."""
+    rng = np.random.default_rng(_SEED)
+    share = min(1.0, MOST_SAMPLES // 3 / max(count_of(usable), 1))
+    found = []
+    for used in usable:
         index = np.flatnonzero(used)
         few = np.zeros(used.shape, bool)
-        few.reshape(-1)[rng.permutation(index)[: int(np.ceil(share * len(index)))]] = True
-        light |= bool(light_at(photo, np.flatnonzero(few)).any())
+        few.reshape(-1)[rng.permutation(index)[: int(share * len(index))]] = True
         found.append(few)
-    return found if light and sum(int(few.sum()) for few in found) >= LEAST_PIXELS else None
+    return found
+
+
+def count_of(used: Used) -> int:
+    """Pixels of all photos."""
+    return sum(int(one.sum()) for one in used)
 
 
 @dataclass(frozen=True)
@@ -90,6 +108,12 @@ class End:
             if p.role != "fixed" and p.name in known:
                 vector[list(p.entries)] = known[p.name]
         return vector
+
+    @property
+    def light(self) -> float:
+        """Square sum of the photos' light."""
+        columns = self.program.problem.columns
+        return sum(float((np.asarray(c.light, np.float64) ** 2).sum()) for c in columns)
 
     @property
     def left_over(self) -> list[Float[np.ndarray, "_ 3"]]:
@@ -155,6 +179,8 @@ class Program:
             if p.family in off:
                 held[list(p.entries)] = off[p.family]
         free = [p for p in self.asked if p.family not in off]
+        if not free:
+            return End(self, terms, held, problem.square_sum(held), 0)
         near = [self._moved(end, held, free) for end in starts]
         with float64():
             found = approach(
@@ -188,10 +214,19 @@ class Program:
         return start
 
 
+def _within_prior(p: FitParameter) -> FitParameter:
+    """A parameter within three standard deviations of what was known before."""
+    if p.prior is None:
+        return p
+    reach = 3 * p.prior.sigma
+    low, high = max(p.lower, p.prior.mean - reach), min(p.upper, p.prior.mean + reach)
+    return replace(p, lower=low, upper=high) if low < high else p
+
+
 class Trial:
     """Few pixels, and the programs that were tried on them."""
 
-    def __init__(self, task: Task, used: list[Bool[np.ndarray, "h w"]], declared: Declare) -> None:
+    def __init__(self, task: Task, used: Used, declared: Declare) -> None:
         self.task, self.used, self.declared = task, used, declared
         self.clipped: list[Int8[np.ndarray, "_ 3"]] = []
         """Of each photo's samples 1: at least this bright, -1: at most, 0: measured."""
@@ -217,19 +252,43 @@ class Trial:
         """The task for a kind of look on the few pixels. Raises `InputError` naming a field that
         the layers cannot give."""
         task, look = self.task, like(kind, self.task.look)
-        unit = float(task.layers[0].width_unit)
-        taken = [
-            take_columns(photo, layers, used, unit, kind)
-            for photo, layers, used in zip(task.photos, task.layers, self.used, strict=True)
-        ]
+        taken = self._columns(kind, self.used)
         none = [np.zeros(c.light.shape, np.int8) for c in taken]
         self.clipped = [
             n if c.clipped is None else c.clipped for c, n in zip(taken, none, strict=True)
         ]
         columns = tuple(replace(c, clipped=None) for c in taken)
-        parameters = within_scene(self.declared(look), columns)
+        parameters = within_scene(tuple(map(_within_prior, self.declared(look))), columns)
         parameters = one_in_grey(parameters, columns, kind.GROUND)
         return replace(task, look=look, parameters=parameters, loss="linear"), columns
+
+    def _columns(self, kind: type[Look], used: Used) -> list[Columns]:
+        unit = float(self.task.layers[0].width_unit)
+        return [
+            take_columns(photo, layers, one, unit, kind)
+            for photo, layers, one in zip(self.task.photos, self.task.layers, used, strict=True)
+        ]
+
+    def neighbours_agree(self, best: "End", usable: Used) -> bool:
+        """Whether what is left over of pixels and of those to the right of them is alike by more
+        than chance, or `QUIET`: scattered pixels are too far apart to tell."""
+        beside = [
+            np.pad(one[:, :-1], ((0, 0), (1, 0))) & most
+            for one, most in zip(self.used, usable, strict=True)
+        ]
+        program = best.program
+        columns = [replace(c, clipped=None) for c in self._columns(program.kind, beside)]
+        residuals = residuals_of(program.problem.beside(columns), best.vector)
+        products, squares, count = 0.0, 0.0, 0
+        here = zip(program.problem.columns, best.left_over, strict=True)
+        for (c, left), d, right in zip(here, columns, residuals, strict=True):
+            order = np.argsort(c.index)
+            at = order[np.searchsorted(c.index[order], d.index - 1)]
+            pair = np.nan_to_num(left[at]), np.nan_to_num(right)
+            products += float((pair[0] * pair[1]).sum())
+            squares += float((pair[0] ** 2 + pair[1] ** 2).sum()) / 2
+            count += pair[0].size
+        return bool(products > max(QUIET, 3 / np.sqrt(max(count, 1))) * squares)
 
     @cached_property
     def stages(self) -> list[frozenset[str]]:
@@ -252,6 +311,8 @@ class Trial:
         try:
             task, columns = self.task_of(kind.with_terms([*needed, term]))
         except InputError as error:
+            if not str(error).startswith("layers: "):
+                raise
             return "the " + str(error).split(",")[0].replace("layers: ", "layers ", 1)
         asked, left_out = leave_out(task, columns)
         if any(p.family in self.own(term) for p in asked):

@@ -65,6 +65,8 @@ def choice_in_words(document: Mapping[str, Any]) -> str:
     selection = _selection(document)
     if not selection:
         return ""
+    if not selection["samples"]:
+        return "no term was tried: " + selection["terms"][0]["why"]
     return (
         f"terms chosen by {selection['samples']:,} samples, worth "
         f"{number(selection['effective_samples'], 3)} independent ones; intervals hold for these "
@@ -76,7 +78,8 @@ def terms_in_words(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Each term that was chosen among, and why it was taken or left out."""
     rows = document.get("parameters") or {}
     found = []
-    for term in _selection(document).get("terms") or ():
+    selection = _selection(document)
+    for term in (selection.get("terms") or ()) if selection.get("samples") else ():
         bic = term["delta_bic"]
         odds = "" if bic is None else f"ΔBIC {number(bic, 3)}"
         why = ", ".join(part for part in (odds, term["why"]) if part)

@@ -207,9 +207,14 @@ def test_where_there_is_nothing_to_choose_by_it_is_the_plain_look(what: str) -> 
     else:
         photo[:] = np.nan
     result = fit(photo, layers, "auto", sampling="point")
-    assert result.selection is None
     assert type(result.look) is LayersLook
-    assert result.to_dict()["selection"] is None
+    if what == "few":
+        assert result.selection is not None
+        assert {row.delta_bic for row in result.selection.terms} == {None}
+        assert "no term was tried: fewer than 64 pixels have no edge" in str(result)
+    else:
+        assert result.verdict == "no_data"
+        assert result.selection is None
 
 
 def test_what_it_does_not_take_is_refused_with_a_remedy() -> None:
@@ -233,3 +238,40 @@ def test_exact_pictures_are_told_by_the_plain_look() -> None:
     result = fit(picture(layers, TRUTH), layers, "auto", sampling="point")
     assert taken(result) == set()
     assert result.parameters["brightness"].value == pytest.approx(3.0, rel=1e-6)
+
+
+def test_of_grey_photos_white_is_no_air_that_saturates(tmp_path: Path) -> None:
+    """Copied channels are not known; the others tell what may be white."""
+    layers = exact_layers(scene())
+    light = picture(layers, TRUTH)[..., 1:2].repeat(3, axis=2)
+    light = light / np.quantile(light[np.asarray(layers.has_air)], 0.9)
+    light = light + np.random.default_rng(3).normal(0, 0.03, (*light.shape[:2], 1))
+    codes = np.clip(light, 0, 1) ** (1 / 2.2)
+    Image.fromarray(np.rint(255 * codes).astype(np.uint8)).save(tmp_path / "white.png")
+    result = fit(load_photo(tmp_path / "white.png"), layers, "auto", sampling="point")
+    assert result.pixels["clipped_samples"] > 100
+    assert taken(result) == set()
+
+
+def test_where_nothing_is_free_without_terms_one_is_found_or_none() -> None:
+    """A colour of a grey photo, which tells none, and the terms beside it."""
+    layers = exact_layers(scene())
+    light = noisy(picture(layers, TRUTH))[..., 1:2].repeat(3, axis=2)
+    with pytest.raises(InputError, match="nothing to fit") as _:
+        fit(light, layers, "auto", free=())
+    result = fit(light, layers, "auto", free="tint", sampling="point")
+    assert result.selection is not None
+
+
+def test_priors_bound_what_choosing_may_use() -> None:
+    """A gamma that is free would bend the light as saturation does; one that is known does not."""
+    photo, layers = drawn(SMALL, "air+saturation", extinction=(3.0, 6.0, 12.0))
+    names = ["brightness", "tint", "shadow", "background", "gamma"]
+    result = fit(photo, layers, "auto", free=names, priors={"gamma": (1.0, 0.01)}, sampling="point")
+    assert taken(result) == {"saturation"}
+
+
+def test_light_beyond_all_measure_ends_as_it_does_without_a_choice() -> None:
+    layers = exact_layers(scene())
+    result = fit(picture(layers, TRUTH), layers, "auto", bounds={"brightness": (1e200, np.inf)})
+    assert result.verdict == "diverged"
