@@ -32,7 +32,7 @@ def example(name: str) -> ModuleType:
     return module
 
 
-def run(scene: str, photo: Path, out: Path, look: str | None = None) -> dict:
+def run(scene: str, photo: Path, out: Path, look: str = "layers") -> dict:
     job = Job(photos=(str(photo),), scenes=(str(EXAMPLES / scene),), look=look)
     _, document = run_job(job, str(out))
     assert json.loads((out / "fit.json").read_text())["verdict"] == document["verdict"]

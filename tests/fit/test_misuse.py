@@ -28,7 +28,7 @@ def photo(layers: Layers) -> np.ndarray:
         ({"layers": scene()}, r"layers: is a Scene; give analytic_layers\(scene\) or render_gl"),
         ({"layers": "layers.exr"}, r"layers: 'layers.exr' is a path; give render_gl.read_layers"),
         ({"layers": None}, r"layers: is of type NoneType; give Layers"),
-        ({"look": "look"}, r"look: is of type str; give a Look"),
+        ({"look": "look"}, r"look: 'look' is a name; give 'auto', or find_look\('look'\)\(\)"),
         ({"response": 2.2}, r"response: is of type float; give a Response"),
         ({"response": [Response()] * 2}, r"got 2 responses for 1 photos"),
         ({"free": 3}, r"free: is 3; give names, such as"),

@@ -25,9 +25,7 @@ from tests.scene_text import resized
 
 SCENE = (
     resized(24, 16)
-    + """
-[look]
-brightness = 3.0
+    + """brightness = 3.0
 shadow = 0.2
 tint = [1.0, 1.1, 0.9]
 background = 0.001
