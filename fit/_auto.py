@@ -141,8 +141,7 @@ def _choose(trial: Trial, first: End, usable: Used) -> tuple[End, Selection]:
         first: the best of all terms of the cheapest program.
         usable: pixels of which those of the trial are some.
     """
-    dear: set[str] = set()
-    vain: set[str] = set()
+    dear, vain = set[str](), set[str]()
     best = first
     for k, stage in enumerate(trial.stages):
         program = trial.program(stage)
@@ -164,13 +163,13 @@ def _choose(trial: Trial, first: End, usable: Used) -> tuple[End, Selection]:
     each = 2 * np.log(max(len(compared), 1))
     tiny = float(np.finfo(np.float64).tiny)
 
-    def gain(end: End, best: End) -> float:
+    def gain(small: End, large: End) -> float:
         """BIC of the smaller set less that of the larger, as Chen and Chen, Biometrika 95, 759,
         2008, have it (γ = 1 for single terms): of many terms one looks worth it by chance."""
-        least = max(end.square_sum - uncredited, best.square_sum)
-        told = count * np.log((least + tiny) / (best.square_sum + tiny))
-        more = best.parameters - end.parameters
-        return float(told - np.log(count) * more - each * len(best.terms - end.terms))
+        least = max(small.square_sum - uncredited, large.square_sum)
+        odds = count * np.log((least + tiny) / (large.square_sum + tiny))
+        more = large.parameters - small.parameters
+        return float(odds - np.log(count) * more - each * len(large.terms - small.terms))
 
     told: dict[str, float] = {}
     gone: dict[str, frozenset[str]] = {}

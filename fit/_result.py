@@ -164,7 +164,8 @@ class FitResult:
     """How the look's terms were chosen, if they were (`look="auto"`). Intervals hold for a look
     that was named; what choosing adds is not in them."""
     seconds: dict[str, float] = field(default_factory=dict)
-    """"reduce": reading pixels; "solve": descents and checks; "errors": covariance and bounds."""
+    """"choose": of the look's terms, if asked for; "reduce": reading pixels; "solve": descents and
+    checks; "errors": covariance and bounds."""
     evidence: OnDemand | None = field(default=None, repr=False, compare=False)
     """Samples and end point, for what is computed on demand; None without data."""
 

@@ -11,8 +11,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 
-from model_jax import Look
-from model_jax._errors import InputError
+from model_jax import InputError, Look
 from model_jax.looks._registry import AUTO
 
 from ._choices import Where
@@ -30,7 +29,7 @@ from .solve._task import Task
 
 MOST_SAMPLES = 4096
 """Samples looked at, three to a pixel: a term that tells a hundredth of what is left over gains 40
-in BIC."""
+in BIC, less what its numbers cost."""
 LEAST_PIXELS = 64
 """Pixels below which nothing is chosen: BIC is of many samples."""
 
@@ -45,7 +44,6 @@ _TERMS = AUTO[1]
 
 Declare = Callable[[Look], tuple[FitParameter, ...]]
 """Parameters of a look, with all that was asked of them."""
-
 
 Used = list[Bool[np.ndarray, "h w"]]
 """Pixels of each photo."""
@@ -134,37 +132,25 @@ class Program:
     """A look with all terms that go with some which cannot be held, and its samples."""
 
     def __init__(self, trial: "Trial", hard: tuple[str, ...]) -> None:
-        kind = _TERMS
-        needs = kind.TERM_NEEDS
         soft = [
             term
             for term in trial.soft
-            if set(needs.get(term, ())) <= set(hard) and term not in trial.absent
+            if set(_TERMS.TERM_NEEDS.get(term, ())) <= set(hard) and term not in trial.absent
         ]
         self.hard = frozenset(hard)
-        self.kind = kind.with_terms([*hard, *soft])
+        self.kind = _TERMS.with_terms([*hard, *soft])
         owned = {family for term in hard for family in trial.own(term)}
         # What shares its parameters with a term that cannot be held is there with it.
         self.bound = frozenset(t for t in soft if owned & set(trial.own(t)))
         self.soft = frozenset(soft) - self.bound
         self.trial = trial
+        task, columns = trial.task_of(self.kind)
+        self.problem: Problem = make_problem(task, columns).whole()
+        self.asked: tuple[FitParameter, ...] = leave_out(task, columns)[0]
 
     @property
     def terms(self) -> frozenset[str]:
         return self.hard | self.bound | self.soft
-
-    @cached_property
-    def problem(self) -> Problem:
-        return self._made[0]
-
-    @cached_property
-    def asked(self) -> tuple[FitParameter, ...]:
-        return self._made[1]
-
-    @cached_property
-    def _made(self) -> tuple[Problem, tuple[FitParameter, ...]]:
-        task, columns = self.trial.task_of(self.kind)
-        return make_problem(task, columns).whole(), leave_out(task, columns)[0]
 
     def fit(self, terms: frozenset[str], starts: Sequence[End] = (), spread: bool = True) -> End:
         """The best with some of the terms, from given ends and from starts that are spread."""
@@ -228,36 +214,34 @@ class Trial:
 
     def __init__(self, task: Task, used: Used, declared: Declare) -> None:
         self.task, self.used, self.declared = task, used, declared
-        self.clipped: list[Int8[np.ndarray, "_ 3"]] = []
-        """Of each photo's samples 1: at least this bright, -1: at most, 0: measured."""
-        kind = _TERMS
-        self.soft = [term for term in kind.CHOICES if term in kind.TERM_OFF]
-        self.hard = [term for term in kind.CHOICES if term not in kind.TERM_OFF]
+        self.soft = [term for term in _TERMS.CHOICES if term in _TERMS.TERM_OFF]
+        self.hard = [term for term in _TERMS.CHOICES if term not in _TERMS.TERM_OFF]
         self.absent: dict[str, str] = {}
         """Why layers and pixels cannot tell a term."""
         self._programs: dict[frozenset[str], Program] = {}
-        for term in kind.CHOICES:
-            why = self._why_absent(term)
-            if why:
+        for term in _TERMS.CHOICES:
+            if why := self._why_absent(term):
                 self.absent[term] = why
 
     def own(self, term: str) -> list[str]:
         """Families of the parameters that a term brings."""
-        kind = _TERMS
-        needed = kind.TERM_NEEDS.get(term, ())
-        before = kind.with_terms(needed).PARAMETERS
-        return [f for f in kind.with_terms([*needed, term]).PARAMETERS if f not in before]
+        needed = _TERMS.TERM_NEEDS.get(term, ())
+        before = _TERMS.with_terms(needed).PARAMETERS
+        return [f for f in _TERMS.with_terms([*needed, term]).PARAMETERS if f not in before]
+
+    @cached_property
+    def clipped(self) -> list[Int8[np.ndarray, "_ 3"]]:
+        """Of each photo's samples 1: at least this bright, -1: at most, 0: measured."""
+        return [
+            np.zeros(c.light.shape, np.int8) if c.clipped is None else c.clipped
+            for c in self._columns(type(self.task.look), self.used)
+        ]
 
     def task_of(self, kind: type[Look]) -> tuple[Task, tuple[Columns, ...]]:
         """The task for a kind of look on the few pixels. Raises `InputError` naming a field that
         the layers cannot give."""
         task, look = self.task, like(kind, self.task.look)
-        taken = self._columns(kind, self.used)
-        none = [np.zeros(c.light.shape, np.int8) for c in taken]
-        self.clipped = [
-            n if c.clipped is None else c.clipped for c, n in zip(taken, none, strict=True)
-        ]
-        columns = tuple(replace(c, clipped=None) for c in taken)
+        columns = tuple(replace(c, clipped=None) for c in self._columns(kind, self.used))
         parameters = within_scene(tuple(map(_within_prior, self.declared(look))), columns)
         parameters = one_in_grey(parameters, columns, kind.GROUND)
         return replace(task, look=look, parameters=parameters, loss="linear"), columns
@@ -303,13 +287,12 @@ class Trial:
 
     def _why_absent(self, term: str) -> str:
         """Why a term cannot be told; empty where it can."""
-        kind = _TERMS
-        needed = kind.TERM_NEEDS.get(term, ())
+        needed = _TERMS.TERM_NEEDS.get(term, ())
         for other in needed:
             if other in self.absent:
                 return self.absent[other]
         try:
-            task, columns = self.task_of(kind.with_terms([*needed, term]))
+            task, columns = self.task_of(_TERMS.with_terms([*needed, term]))
         except InputError as error:
             if not str(error).startswith("layers: "):
                 raise

@@ -20,14 +20,14 @@ def remedy_of(result: FitResult, kind: type[Look]) -> str:
     """What the plainest cause of the photo that matches least asks for, without a full stop.
 
     Of a look that knows no heights the first answer is air that thins out: no real air is a slab.
-    Where terms were chosen, other terms are no answer.
+    Where terms were tried, others are no answer.
     """
     if not any(_hangs_together(photo) for photo in result.photos):
         return "what is left over is noise: use a photo with less of it, or several"
     worst = min(range(len(result.photos)), key=lambda k: _match(result.photos[k]))
     causes = [m.cause for m in result.misfits if m.photo == worst]
     uniform = not any(name in PLACES for name in kind.NEEDS)
-    if result.selection is not None:
+    if result.selection is not None and result.selection.samples:
         return REMEDIES.get(causes[0] if causes else "", ELSE)
     if uniform and (not causes or causes[0] not in ("edges", "colour")):
         return "let the air thin out with height (--look air --terms density)"
