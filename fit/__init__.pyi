@@ -1,3 +1,4 @@
+from ._align import align as align
 from ._fit import fit as fit
 from ._result import Errors as Errors
 from ._result import Estimate as Estimate

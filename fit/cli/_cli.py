@@ -21,18 +21,21 @@ from model_jax._errors import InputError, printable
 from render_gl._choices import Source
 from render_gl._files import check_file
 
-from .._choices import JpegHandling, LayerSource, LossName, Sampling, SolverName, Where, check_steps
+from .._choices import LayerSource, LossName, SolverName, Where, check_steps
 from ..report._export import Format, export_text, write_export
 from ..report._fitted import read_fit
 from . import _assignments as assignments
 from ._drawing import NOTHING_IN_VIEW, draw_scene, in_view, parse_size, write_png
 from ._guard import command_line, devices_found, guard, tell
 from ._options import (
+    AlignOption,
     DepthOption,
     Depths,
     FitLookOption,
+    JpegOption,
     JsonOption,
     LookOption,
+    SamplingOption,
     SceneArgument,
     SourceOption,
     TermsOption,
@@ -164,6 +167,7 @@ def fit(
     depth: Annotated[
         Depths | None, typer.Option(help="Depth format of the passes; linear by default.")
     ] = None,
+    align: AlignOption = False,
     tone_curve: Annotated[
         str | None,
         typer.Option(help="linear, srgb or EXPOSURE,GAMMA of 1-exp(-EXPOSURE x); one photo only."),
@@ -195,14 +199,8 @@ def fit(
     loss: Annotated[
         LossName, typer.Option(help="Least squares, or one that doubts outliers.")
     ] = "linear",
-    jpeg: Annotated[
-        JpegHandling,
-        typer.Option(help="undo: correct for what JPEG did to the photo, for seconds."),
-    ] = "keep",
-    sampling: Annotated[
-        Sampling,
-        typer.Option(help="point: the photo is a render without antialiasing."),
-    ] = "area",
+    jpeg: JpegOption = "keep",
+    sampling: SamplingOption = "area",
     where: Annotated[
         Where,
         typer.Option(help="Pixels of the ring, of ring and sky beside it, of the planet, or all."),
@@ -226,8 +224,8 @@ def fit(
         )
     if constant != 1 and encoding != "log":
         raise InputError(f"fit: --constant {constant:g} goes with --encoding log")
-    if layers is not None and (source is not None or depth is not None):
-        raise InputError("fit: --source and --depth draw a scene's layers; --layers has its own")
+    if layers is not None and (source is not None or depth is not None or align):
+        raise InputError("fit: --source, --depth and --align are of a scene; --layers has none")
     if layers is None and len(paths) > 2 and (mask is not None or tone_curve is not None):
         raise InputError(
             "fit: --mask and --tone-curve are of one photo; with several, write mask and "
@@ -247,6 +245,7 @@ def fit(
         blurs=blurs,
         source=source or "raster",
         depth_format=depth or "linear",
+        align=align,
         tone_curve=assignments.tone_curve(tone_curve),
         mask=mask,
         free=assignments.names(free),

@@ -12,6 +12,7 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -33,6 +34,7 @@ from model_jax import (
 from model_jax._errors import printable
 from render_gl._files import path_text
 
+from .._align import aligned, aligned_camera, camera_lines
 from .._auto import Auto, check_sharp
 from .._choices import (
     AUTO,
@@ -55,7 +57,6 @@ from ..report._report import report_html
 from ..solve._declare import declare
 from ..solve._layout import Layout
 from ..solve._parameters import to_entries, to_look, to_responses
-from ._aligned import aligned_camera, camera_lines
 from ._outputs import prepare_folder, remove, versions, write_text
 from ._written import PhotoView, write_maps, write_photo
 
@@ -82,6 +83,8 @@ class Job:
     source: LayerSource = "raster"
     """Where a scene's layers come from."""
     depth_format: str = "linear"
+    align: bool = False
+    """Scenes' cameras are turned and zoomed until limbs meet the photos'."""
     tone_curve: str | None = None
     """The photo's, if there is one; several have theirs in their scenes."""
     mask: str | None = None
@@ -248,10 +251,24 @@ def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> PhotoView:
         job.mask,
     )
     if file is None:
+        if job.align:
+            raise InputError("align: turns a scene's camera; layers of a file have none")
         return PhotoView(path_text(name), photo, None, None)
     height, width = photo.shape
     scene = _at_photo_size(file.scene, width, height, name)
-    return PhotoView(path_text(name), photo, scene, path_text(job.scenes[number]))
+    view = PhotoView(path_text(name), photo, scene, path_text(job.scenes[number]))
+    return _laid_on_photo(job, view) if job.align else view
+
+
+def _laid_on_photo(job: Job, view: PhotoView) -> PhotoView:
+    """The view with the camera in which limbs meet."""
+    assert view.scene is not None
+    draw = partial(make_layers, source=job.source, depth_format=job.depth_format, look=LayersLook())
+    try:
+        scene, before = aligned(view.photo, view.scene, draw)
+    except InputError as error:
+        raise InputError(f"{view.name}: {error}") from None
+    return replace(view, scene=scene, moved=before)
 
 
 def _layers(job: Job, view: PhotoView, look: Look) -> Layers:
@@ -309,10 +326,22 @@ def _about(view: PhotoView, layers: Layers) -> dict[str, Any]:
     return {
         "scene": view.scene_path,
         "scene_hash": None if view.scene is None else render_gl.scene_hash(view.scene),
+        "moved": _moved(view),
         "photo": view.name,
         "tone_curve": view.photo.tone_curve.describe(),
         "color": [float(part) for part in np.asarray(layers.color)],
         "planet_radius": None if scene is None else float(scene.planet.radius),
         "atmosphere_height": None if scene is None else float(scene.atmosphere.height),
         "atmosphere_path": "depth" if layers.stretch is None else "distance",
+    }
+
+
+def _moved(view: PhotoView) -> dict[str, Any] | None:
+    """How far the scene was off its photo, and the camera that it was given; None if its own."""
+    if view.scene is None or view.moved is None:
+        return None
+    camera = view.scene.camera
+    return view.moved.to_dict() | {
+        "forward": [float(value) for value in np.asarray(camera.forward)],
+        "fov_y_deg": float(camera.fov_y_deg),
     }

@@ -6,7 +6,7 @@ import typer
 
 from render_gl._choices import DepthFormat
 
-from .._choices import LayerSource
+from .._choices import JpegHandling, LayerSource, Sampling
 
 Depths = Literal["auto", DepthFormat]
 
@@ -23,6 +23,19 @@ FitLookOption = Annotated[
         help="A look's name or Python file; auto, unless the scene names one, is air with the "
         "terms that the photo supports; layers is the paper's.",
     ),
+]
+AlignOption = Annotated[
+    bool,
+    typer.Option(
+        "--align", help="Turn and zoom each scene's camera until its limb meets a photo's."
+    ),
+]
+JpegOption = Annotated[
+    JpegHandling,
+    typer.Option(help="undo: correct for what JPEG did to the photo, for seconds."),
+]
+SamplingOption = Annotated[
+    Sampling, typer.Option(help="point: the photo is a render without antialiasing.")
 ]
 TermsOption = Annotated[
     str | None,

@@ -14,6 +14,7 @@ from model_jax import Layers, Look, Response, Scene, composite, layer_widths, li
 from model_jax._shapes import AnyArray
 
 from .._memory import give_back
+from .._of_photo import Alignment
 from .._result import FitResult
 from .._verdict import Verdict
 from ..diagnose._evidence import Evidence
@@ -35,6 +36,9 @@ class PhotoView:
     scene: Scene | None
     """On the photo's pixel grid; None where layers came from a file."""
     scene_path: str | None
+    moved: Alignment | None = None
+    """How far the photo's limb lay beside the scene's before its camera was moved; None if it was
+    not."""
 
 
 @dataclass(frozen=True)

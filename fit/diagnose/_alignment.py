@@ -51,7 +51,7 @@ def alignment_of(photo: PhotoLike, layers: Layers) -> Alignment | None:
     if layers.planet is None:
         return None
     light = photo if isinstance(photo, Photo) else as_picture(photo)
-    return align(light, np.asarray(layers.planet) != 0, known_pixels(photo))
+    return limb_beside(light, np.asarray(layers.planet) != 0, known_pixels(photo))
 
 
 def known_pixels(photo: PhotoLike) -> Bool[np.ndarray, "h w"]:
@@ -81,7 +81,7 @@ def misaligned(found: Alignment | None) -> str:
     )
 
 
-def align(
+def limb_beside(
     light: Light, planet: Bool[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]
 ) -> Alignment | None:
     """The photo's limb beside a mask's.

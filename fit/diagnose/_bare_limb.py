@@ -104,7 +104,7 @@ def find_air(
         planet: where the planet ends the ray; may be empty.
         used: pixels to explain; those on the planet are left out.
         widths: of air, lit and shadowed (either may be missing), any unit, finite where used.
-        place: of the photo's limb beside the planet's edge, as `align` finds it.
+        place: of the photo's limb beside the planet's edge, as `limb_beside` finds it.
         sky: pixels beyond the air, if there are any.
     """
     used = used & ~planet

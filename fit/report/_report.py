@@ -169,6 +169,9 @@ def _facts(document: dict[str, Any]) -> list[tuple[str, str]]:
     limbs = [limb for photo in document.get("photos") or [] if (limb := photo.get("alignment"))]
     off = max((limb["off"] for limb in limbs), default=0.0)
     beside = [("limb beside the scene's", f"{number(off, 2)} px")] if limbs else []
+    moved = [was["off"] for photo in document.get("photos") or [] if (was := photo.get("moved"))]
+    if moved:
+        beside.append(("before it was aligned", f"{number(max(moved), 2)} px"))
     if document.get("verdict") == Verdict.NO_DATA.label:
         return [("pixels that could be used", grouped(pixels.get("used", 0))), *beside]
     facts = [("residual rms", number(document.get("residual_rms"), 3))]

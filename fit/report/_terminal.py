@@ -21,6 +21,7 @@ from ._wording import (
     interval_of,
     known_before,
     limb_in_words,
+    moved_in_words,
     role_of,
     shown_parameters,
     terms_in_words,
@@ -214,6 +215,8 @@ def _photo_lines(document: dict[str, Any]) -> Iterator[str]:
         if "tone_curve" in photo:
             line += f", {curve_in_words(photo['tone_curve'])}"
         yield line
+        if moved := moved_in_words(photo.get("moved")):
+            yield moved
         if limb := limb_in_words(photo.get("alignment")):
             yield limb
         if clipped := clipped_note(pixels):

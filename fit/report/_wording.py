@@ -60,6 +60,17 @@ def limb_in_words(alignment: Mapping[str, Any] | None) -> str:
     )
 
 
+def moved_in_words(moved: Mapping[str, Any] | None) -> str:
+    """The camera that `--align` gave a scene; empty where it kept its own."""
+    if not moved:
+        return ""
+    forward = ", ".join(f"{value:.9f}" for value in moved["forward"])
+    return (
+        f"aligned: the scene's limb was {number(moved['off'], 2)} px off; with [camera] forward = "
+        f"[{forward}], fov_y_deg = {moved['fov_y_deg']:.7g} it is on the photo's"
+    )
+
+
 def choice_in_words(document: Mapping[str, Any]) -> str:
     """By what the look's terms were chosen; empty where they were named, or nothing was fitted."""
     selection = _selection(document)

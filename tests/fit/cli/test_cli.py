@@ -15,6 +15,7 @@ from PIL import Image
 
 import render_gl
 from fit.cli import _job
+from fit.diagnose._alignment import OFF_PX
 from fit.solve import _polish
 from model_jax import DriverError, LayersLook
 from tests.command import airlight
@@ -91,6 +92,56 @@ def test_fit_from_somebodys_layers(here: Path) -> None:
     assert airlight("fit", "--layers", "layers.exr", "photo.png", "-o", "out", "--json") == 0
     document = json.loads(Path("out/fit.json").read_text())
     assert document["parameters"]["shadow"]["value"] == pytest.approx(0.2, abs=0.002)
+
+
+DISC = """
+[camera]
+position = [0, 0, 200]
+forward = [-0.005, 0.005, -1]
+up = [0, 1, 0]
+fov_y_deg = 1.0
+width = 200
+height = 200
+near = 198
+far = 202
+[planet]
+radius = 1
+[atmosphere]
+height = 0.1
+"""
+
+
+def test_align_moves_the_camera_until_limbs_meet(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The scene's planet is 57 px large and its middle at 157 px, the photo's are 60 and 154 px."""
+    y, x = np.mgrid[:200, :200]
+    away = np.hypot(x - 154, y - 154)[..., None] / 60
+    chord = np.sqrt(np.maximum(1.1**2 - away**2, 0))
+    light = np.where(away < 1, [0.6, 0.4, 0.3], chord * [0.2, 0.4, 0.8])
+    Image.fromarray(np.rint(255 * light).astype(np.uint8)).save("p.png")
+    Path("disc.toml").write_text(DISC)
+    fitted = ("fit", "disc.toml", "p.png", "-o", "out", "--look", "layers", "--accept-misfit")
+    airlight(*fitted)
+    told = json.loads(Path("out/fit.json").read_text())
+    assert told["moved"] is None
+    assert any("misaligned" in text for text in told["warnings"])
+    capsys.readouterr()
+    airlight(*fitted, "--align")
+    told = json.loads(Path("out/fit.json").read_text())
+    assert told["photos"][0]["alignment"]["off"] < 0.1
+    assert not any("misaligned" in text for text in told["warnings"])
+    moved = told["photos"][0]["moved"]
+    assert moved["off"] > OFF_PX
+    assert moved["scale"] == pytest.approx(60 / 57.3, abs=0.01)
+    # The camera that it names is the one that was used.
+    text = DISC.replace("[-0.005, 0.005, -1]", str(moved["forward"]))
+    Path("disc.toml").write_text(text.replace("1.0\n", f"{moved['fov_y_deg']}\n", 1))
+    assert "aligned: the scene's limb was" in " ".join(capsys.readouterr().out.split())
+    airlight(*fitted)
+    again = json.loads(Path("out/fit.json").read_text())
+    assert again["scene_hash"] == told["scene_hash"]
+    assert again["parameters"] == told["parameters"]
 
 
 def test_several_photos_share_a_look(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -387,6 +438,8 @@ COMMANDS = {
         *("fit", "--layers", "l.exr", "photo.png", "-o", "out"),
         *("--source", "analytic"),
     ),
+    "align with layers": ("fit", "--layers", "l.exr", "photo.png", "-o", "out", "--align"),
+    "no limb to align": ("fit", "scene.toml", "photo.png", "-o", "out", "--align"),
     "three paths": ("fit", "scene.toml", "photo.png", "scene.toml", "-o", "out"),
     "unknown curve": ("fit", "scene.toml", "photo.png", "-o", "out", "--tone-curve", "log"),
     "layers without channels": ("fit", "--layers", "photo.png", "photo.png", "-o", "out"),

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fit import FitResult, fit
+from fit import FitResult, align, fit
+from fit._align import aligned_camera, camera_lines
 from fit._of_photo import Alignment
-from fit.cli._aligned import aligned_camera, camera_lines
-from fit.diagnose._alignment import OFF_PX, align, misaligned
-from model_jax import Planet, Scene, analytic_layers
+from fit.diagnose._alignment import OFF_PX, limb_beside, misaligned
+from model_jax import InputError, Planet, Scene, Sun, analytic_layers
 from tests.fit.diagnose.discs import disc_scene, full_moon, moon
 
 SIZE = (200, 200)
@@ -34,7 +34,7 @@ def test_finds_a_disc(
     two circles that are apart by s are so by s² / 2R more at the sides."""
     light = moon(99.5, 99.5, blur, np.ones_like) + rng.normal(scale=0.005, size=(*SIZE, 3))
     x, y, larger = wrong
-    found = align(light, mask(99.5 + x, 99.5 + y, 60 + larger), KNOWN)
+    found = limb_beside(light, mask(99.5 + x, 99.5 + y, 60 + larger), KNOWN)
     assert found is not None
     loose = 0.1 + 0.05 * blur + (x**2 + y**2) / 120
     assert found.place == pytest.approx((-larger, -x, -y), abs=loose)
@@ -47,7 +47,9 @@ def test_finds_a_disc(
 def test_a_half_lit_limb_tells_where_it_is_seen(rng: np.random.Generator) -> None:
     """On the right the limb lies 2 px outward; that may be shift or size, and the errors say so."""
     light = moon(101.5, 99.5, 1.0, lambda right: np.clip(3 * (right + 0.1), 0, 1))
-    found = align(light + rng.normal(scale=0.002, size=light.shape), mask(99.5, 99.5, 60), KNOWN)
+    found = limb_beside(
+        light + rng.normal(scale=0.002, size=light.shape), mask(99.5, 99.5, 60), KNOWN
+    )
     assert found is not None
     assert found.outward + found.right == pytest.approx(2, abs=0.2)
     assert found.off > OFF_PX
@@ -58,12 +60,14 @@ def test_nothing_is_said_where_no_limb_is_seen(light: float, rng: np.random.Gene
     flat = np.full((*SIZE, 3), light)
     planet = mask(99.5, 99.5, 60)
     for picture in (flat, flat + rng.normal(scale=0.01, size=flat.shape)):
-        assert align(picture, planet, KNOWN) is None
+        assert limb_beside(picture, planet, KNOWN) is None
     disc = full_moon(99.5, 99.5)
-    assert align(disc, np.zeros(SIZE, bool), KNOWN) is None
-    assert align(disc, np.ones(SIZE, bool), KNOWN) is None
-    assert align(disc, planet, ~KNOWN) is None
-    assert align(disc, mask(99.5, 99.5, 30), KNOWN) is None  # farther off than it is looked for
+    assert limb_beside(disc, np.zeros(SIZE, bool), KNOWN) is None
+    assert limb_beside(disc, np.ones(SIZE, bool), KNOWN) is None
+    assert limb_beside(disc, planet, ~KNOWN) is None
+    assert (
+        limb_beside(disc, mask(99.5, 99.5, 30), KNOWN) is None
+    )  # farther off than it is looked for
 
 
 def test_air_brighter_than_the_planet_is_not_taken_for_its_limb() -> None:
@@ -72,7 +76,7 @@ def test_air_brighter_than_the_planet_is_not_taken_for_its_limb() -> None:
     layers = analytic_layers(scene)
     air = np.asarray(layers.has_air) & (np.asarray(layers.planet) == 0)
     light = np.where(air, 0.5, 0.0)[..., None] * np.ones(3)
-    assert align(light, np.asarray(layers.planet) != 0, KNOWN) is None
+    assert limb_beside(light, np.asarray(layers.planet) != 0, KNOWN) is None
 
 
 def test_a_limb_with_relief(rng: np.random.Generator) -> None:
@@ -81,7 +85,7 @@ def test_a_limb_with_relief(rng: np.random.Generator) -> None:
     angle = np.arctan2(y - 99.5, x - 99.5)
     bumpy = np.hypot(x - 99.5, y - 99.5) < 60 + 2 * np.sin(9 * angle)
     light = bumpy[..., None] * 0.5 + rng.normal(scale=0.005, size=(*SIZE, 3))
-    found = align(light, np.roll(bumpy, (0, 2), (0, 1)), KNOWN)
+    found = limb_beside(light, np.roll(bumpy, (0, 2), (0, 1)), KNOWN)
     assert found is not None
     assert found.place == pytest.approx((0, -2, 0), abs=0.4)
 
@@ -120,3 +124,24 @@ def test_little_is_not_worth_a_word() -> None:
     assert "2.0 ± 0.1 px farther out" in misaligned(found)
     assert misaligned(replace(found, off=0.9)) == ""
     assert misaligned(replace(found, rms=2.5)) == ""
+
+
+@pytest.mark.parametrize("blur", [0.5, 1.5])
+def test_align_lays_a_scene_on_the_photo(blur: float, rng: np.random.Generator) -> None:
+    """To a tenth of a pixel, as alignment is told; the scene's disc is 8 px off, 5 px too large."""
+    light = moon(99.5, 99.5, blur, np.ones_like) + rng.normal(scale=0.003, size=(*SIZE, 3))
+    wrong = disc_scene(SIZE, (106.0, 95.0, 65.0), 0.1, Sun((1.0, 0.3, 0.4)))
+    scene = align(light, wrong)
+    found = limb_beside(light, np.asarray(analytic_layers(scene).planet) != 0, KNOWN)
+    assert found is not None
+    assert found.off < 0.1
+    assert scene.planet is wrong.planet
+    assert scene.sun is wrong.sun
+
+
+def test_align_says_what_it_cannot(rng: np.random.Generator) -> None:
+    scene = disc_scene(SIZE, (99.5, 99.5, 60.0), 0.1)
+    with pytest.raises(InputError, match="no limb of the planet is seen within 12 px"):
+        align(rng.random((*SIZE, 3)), scene)
+    with pytest.raises(InputError, match=r"give scene.resized\(200, 100\)"):
+        align(np.zeros((100, 200, 3)), scene)

@@ -10,7 +10,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from fit import fit, load_photo
-from fit.diagnose._alignment import align
+from fit.diagnose._alignment import limb_beside
 from fit.diagnose._bare_limb import EVIDENCE, AirEvidence, bare_limb, find_air
 from fit.diagnose._effective import effective_samples
 from model_jax import Scene, Srgb, Sun, analytic_layers, layer_widths
@@ -254,7 +254,7 @@ def search(light: np.ndarray, scene: Scene, sky: np.ndarray | None = None) -> Ai
     layers = analytic_layers(scene)
     widths = [np.asarray(width) for width in layer_widths(layers) if width is not None]
     planet = np.asarray(layers.planet) != 0
-    aligned = align(light, planet, np.isfinite(light).all(axis=-1))
+    aligned = limb_beside(light, planet, np.isfinite(light).all(axis=-1))
     place = (0.0, 0.0, 0.0) if aligned is None else aligned.place
     return find_air(light, planet, np.asarray(layers.has_air), widths, place, sky)
 
