@@ -32,8 +32,9 @@ from ._memory import bound_programs, give_back
 from ._result import FitResult
 from ._rounds import make_problem, search_in_rounds
 from ._traced import TracedFit, concrete, fit_traced
+from .diagnose._airless import ask_for_air
 from .diagnose._alignment import alignment_of
-from .diagnose._remarks import leave_out, pixel_remarks, why_airless, why_no_data
+from .diagnose._remarks import leave_out, pixel_remarks, why_no_data
 from .diagnose._residuals import residuals_of
 from .photo._columns import Columns, PhotoLike, planet_light, take_columns
 from .photo._photo import Photo
@@ -309,25 +310,15 @@ def _fit(task: Task, where: Where) -> FitResult:
     evidence = evidence_of(task, problem, end, residuals)
     aligned = [alignment_of(p, la) for p, la in seen]
     photos = photo_results(task, problem, end, pixels, residuals, aligned)
-    airless, doubts = why_airless(task, pixels, columns, evidence, photos)
-    if all(airless):
-        result = without_data(str(airless[0]), task, pixels, columns, left_out, aligned)
+    air = ask_for_air(task, pixels, columns, evidence, photos)
+    if all(air.none):
+        result = without_data(str(air.none[0]), task, pixels, columns, left_out, aligned)
     else:
         # Last, for it takes seconds, and nothing else asks what JPEG did.
         debiased = debias_jpeg(evidence, residuals) if evidence and task.jpeg == "undo" else None
         left_out = [*pixel_remarks(pixels), *left_out]
-        result = judge(task, end, evidence, photos, residuals, debiased, left_out)
-        result = with_warnings(
-            result,
-            [
-                *doubts,
-                *(
-                    f"Photo {number}: {why}. Leave it out, or check its alignment and exposure."
-                    for number, why in enumerate(airless, 1)
-                    if why
-                ),
-            ],
-        )
+        result = judge(task, end, evidence, photos, residuals, debiased, left_out, air.untold)
+        result = with_warnings(result, air.warnings())
     times.append(perf_counter())
     names = ("reduce", "solve", "errors")
     spans = zip(names, pairwise(times), strict=True)

@@ -70,10 +70,12 @@ def judge(
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
     debiased: Debiased | str | None,
     left_out: Sequence[LeftOut],
+    untold: str = "",
 ) -> FitResult:
     """Values, errors and verdict.
 
     Args:
+        untold: why it cannot be told whether there is air.
         residuals: at the end point, by `residuals_of`.
         debiased: the look before JPEG, or why it is not known; None where nobody asked.
         left_out: what was left out so far.
@@ -88,7 +90,7 @@ def judge(
         for flat in end.flat
         for p in flat.held
     ]
-    verdict = _verdict(task, end, photos)
+    verdict = _verdict(task, end, photos, bool(untold))
     responses = to_responses(worth.vector, task.layout)
     result = FitResult(
         verdict=verdict.label,
@@ -114,7 +116,7 @@ def judge(
         evidence=evidence,
     )
     stuck = [p.name for p in end.at_bound if not at_least(p, end.vector)]
-    message = _message(verdict, result, stuck, type(task.look))
+    message = _message(verdict, result, stuck, type(task.look), untold)
     return with_warnings(replace(result, message=message), warnings_of(result, task, residuals))
 
 
@@ -209,7 +211,7 @@ def _estimates(task: Task, end: End, worth: _Worth) -> dict[str, Estimate]:
     return found
 
 
-def _verdict(task: Task, end: End, photos: Sequence[PhotoResult]) -> Verdict:
+def _verdict(task: Task, end: End, photos: Sequence[PhotoResult], untold: bool) -> Verdict:
     if not end.finite:
         return Verdict.DIVERGED
     if not end.settled:
@@ -219,7 +221,7 @@ def _verdict(task: Task, end: End, photos: Sequence[PhotoResult]) -> Verdict:
         return Verdict.AT_BOUND  # whatever else: somebody said how far it may go
     known = {p.name for p in (*_identified(task, end), *end.at_bound)}
     lost = any(p.role == "free" and p.name not in known for p in task.parameters)
-    if task.named and lost and not stuck:
+    if untold or (task.named and lost and not stuck):
         return Verdict.NOT_IDENTIFIABLE
     if any(is_misfit(photo) for photo in photos):
         return Verdict.MISFIT
@@ -305,8 +307,19 @@ def without_data(
     return with_warnings(result, file_remarks(task))
 
 
-def _message(verdict: Verdict, result: FitResult, at_bound: Sequence[str], kind: type[Look]) -> str:
+FINER = (
+    "use a photo with finer pixels or a sharper lens; the fit holds if air is what lies beside the "
+    "limb"
+)
+"""What to do where it cannot be told whether there is air."""
+
+
+def _message(
+    verdict: Verdict, result: FitResult, at_bound: Sequence[str], kind: type[Look], untold: str
+) -> str:
     sentence, remedy = VERDICTS[verdict]
+    if untold:
+        sentence, remedy = untold[0].upper() + untold[1:], FINER
     if verdict is Verdict.MISFIT:
         remedy = remedy_of(result, kind)
     if at_bound:

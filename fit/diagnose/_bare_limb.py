@@ -1,28 +1,34 @@
-"""Is there air at all? A planet without air, blurred by the camera, as the rival of the shell.
+"""Is there air at all? A planet without air, blurred by the camera, as the rival of one with.
 
-    light, planet, used ──> bare limb ─────────┐
-                     widths ──> bare + shell ──┴──> ΔBIC at the effective sample size
+    light, planet, used ──> bare limb ───────┐
+                 widths ──> bare limb + air ─┴──> ΔBIC, and how much more of the light it explains
 
 A camera spreads the disc's light over its edge, and a scene is aligned to a photo to a pixel or
 so: both put light where air would be. The bare limb is the photo's own disc, continued outward and
-ended by a blurred edge. Blur neither makes light nor colours it, so the disc's light comes in with
-the factor 1 and in its own colour; only the edge's place and width are free. The shell is tested on
-top of it: a planet with air is seen by the same camera, so its limb leaks into the ring too.
+ended by a blurred edge. Blur neither makes light nor colours it, so the disc's light comes in its
+own colour; only the edge's place and width are free, and how the light goes on toward it. Air comes
+on top of that: a planet with air is seen by the same camera, so its limb leaks into the ring too.
+It fills the shell evenly or thins out from the edge on.
+
+A bare limb is not exact: a sun that is low cuts it off, its light may change within the blur. What
+air explains beside that has to be more than such errors are, or air cannot be told from them.
 
 NumPy and SciPy; knows nothing of looks and solvers.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.special import ndtr
+from jaxtyping import Bool, Float, Int
+from scipy.special import erfcx
 
-from ._effective import Part, effective_samples
-from ._limb import Light, Limb, Place, glows, limb_of
+from ._edge import BLUR, BLUR_PX, HALO, MAX_HALO, PARAMETERS, SHIFT
+from ._effective import effective_samples
+from ._limb import Light, Limb, Place, glows, limb_of, near_limb
+from ._limb_fit import LimbModel, best_limb, energy_of, residual_of, starts
+
+_TINY = float(np.finfo(np.float64).tiny)
 
 EVIDENCE = 10.0
 """Least ΔBIC that tells air: "very strong", odds of 150 to 1 (Kass & Raftery 1995, J. Am. Stat.
@@ -33,43 +39,31 @@ NO_BARE_LIMB = 0.999
 Gaussian, a shell's width that falls as the root of the distance from its top, and a sky level agree
 to 0.9980 at most, whatever blur, place, height and lit share of the limb (0.9955 if all is lit)."""
 
-MAX_SHIFT_PX = 3.0
-"""How far the edge may lie from the mask's: two pixels of the scene, one of its own relief."""
-BLUR_PX = (0.25, 4.0)
-"""Standard deviations of the camera's blur: below a quarter of a pixel the pixel itself is wider;
-above 4 px the disc would show no detail."""
+HEIGHTS_PX = (None, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""Scale heights of air that are tried; None is one density within the shell."""
+_SEEN = 6.0
+"""Scale heights beyond which air is dark: a four-hundredth of its light."""
+_AGAIN = 3
+_LESS = 0.01
+"""How often air is laid on the edge anew, and what it must gain for another time."""
 
-HALO_PX = 8.0
-MAX_HALO = 0.1
-"""Halo of lens and film: a share of the light, spread much farther than the blur. More than a tenth
-next to the disc would be a fault of the camera."""
-
-_STEPS = 60
-_GAIN = 1e-6
-"""Most steps of a search, and the gain at which it ends: a ten-thousandth of `EVIDENCE` in a
-thousand independent samples."""
-_SEARCHED = (10_000, 50_000)
-"""Pixels by the limb that the coarse and the fine search look at, evenly chosen; the square sum of
-the end point is that of all."""
-
-
-@dataclass(frozen=True)
-class LimbModel:
-    """A bare limb, or a bare limb and a shell, at its best."""
-
-    square_sum: float
-    """Residual squares over all used samples, linear light²."""
-    parameters: int
-    blur_px: float
-    """Standard deviation of the camera's blur, within `BLUR_PX`."""
-    shift_px: tuple[float, float, float]
-    """How far the photo's edge lies from the mask's: outward, to the right, downward."""
-    halo: float
-    """Share of the disc's light that is spread by `HALO_PX`, within [0, `MAX_HALO`]."""
-    level: tuple[float, float, float]
-    """Light of the sky."""
-    widths: Float[np.ndarray, "columns 3"]
-    """Light per width of each given column; no rows for the bare limb."""
+LEAST_SHARE = 0.15
+"""Share of what a bare limb leaves that air must explain to be worth the question."""
+FRINGE_PX, FRINGE = 0.3, 0.3
+"""How far thin air must move the edge to be worth the question, or what it must explain: a lens's
+colours lie a third of a pixel apart, and its blur is no Gaussian. Of the Moon both are 0.2."""
+CLEAR, CLEAR_THIN, CLEAR_BLURRED = 0.12, 0.35, 0.5
+"""Share from which air is told: where the limb is resolved; where it is not, or the air is thinner
+than `THIN_PX`; and where the shell is within the blur's reach."""
+THIN_PX = 1.0
+"""Scale height up to which air looks like the edge itself."""
+SHARP_PX = 1.3
+"""Blur up to which a limb is resolved."""
+EVEN = 4.0
+"""How many scale heights high a shell of one density is that looks as air that thins out."""
+WITHIN_BLURS, WITHIN_WIDE_BLURS = 4.0, 9.0
+"""How many blurs high a shell must be to reach out of the edge's own light, where that is resolved,
+and where it is not: the wider a blur, the less is known of its tail."""
 
 
 @dataclass(frozen=True)
@@ -80,13 +74,85 @@ class AirEvidence:
     shell: LimbModel
     samples_effective: float
     delta_bic: float
-    """BIC(bare) − BIC(shell); above `EVIDENCE` there is air."""
+    """BIC(bare) − BIC(shell)."""
+    explained: float
+    """Share of what the bare limb leaves over that air explains."""
+    reach_px: float
+    """How far beyond the limb the ring goes; 0 where no limb is lit beside it."""
+    air: Float[np.ndarray, "3"]
+    """The air's light at the limb."""
+    disc: Float[np.ndarray, "3"]
+    """The disc's light where it is brightest beside the limb."""
     glows: bool
     """The bare limb needs a sky that is brighter beside it than beyond: a ring of even light."""
 
     @property
     def has_air(self) -> bool:
-        return self.delta_bic > EVIDENCE or self.glows
+        return self.glows or (self.is_evident and self.explained >= self.needed)
+
+    @property
+    def is_evident(self) -> bool:
+        """Noise does not look like this, nor a lens's errors; the limb's own errors may."""
+        return self.delta_bic > EVIDENCE and not self.is_fringe
+
+    @property
+    def is_fringe(self) -> bool:
+        """Thin air that is no more than a lens may make of the edge."""
+        height = self.shell.height_px
+        if height is None or height > THIN_PX or self.explained >= FRINGE:
+            return False
+        shift = self.air * height / np.maximum(self.disc, _TINY)
+        return bool(shift.max() <= FRINGE_PX)
+
+    @property
+    def by_glow(self) -> bool:
+        """Nothing but the ring's even light tells air."""
+        return self.glows and not (self.is_evident and self.explained >= self.needed)
+
+    @property
+    def is_open(self) -> bool:
+        """Neither air nor none can be told."""
+        return LEAST_SHARE <= self.explained < self.needed and self.is_evident and not self.glows
+
+    @property
+    def needed(self) -> float:
+        """Share that air must explain to be told; of no limb's errors none."""
+        if not self.reach_px:
+            return 0.0
+        if self.is_within_blur and not self.is_at_limits:
+            return CLEAR_BLURRED
+        return CLEAR_THIN if self.is_thin or self.shell.blur_px > SHARP_PX else CLEAR
+
+    @property
+    def is_within_blur(self) -> bool:
+        """The edge's own light covers the ring."""
+        return self.reach_px < self.reach_needed_px
+
+    @property
+    def is_at_limits(self) -> bool:
+        """Blur and halo are the widest allowed: what they stand for is no edge."""
+        edge = self.shell.edge
+        return bool(edge[BLUR] >= np.log(0.99 * BLUR_PX[1]) and edge[HALO] >= 0.99 * MAX_HALO)
+
+    @property
+    def reach_needed_px(self) -> float:
+        blur = self.shell.blur_px
+        return blur * (WITHIN_BLURS if blur <= SHARP_PX else WITHIN_WIDE_BLURS)
+
+    @property
+    def finer(self) -> float:
+        """How many times as fine a picture would have to be for a clear answer."""
+        within = self.reach_needed_px / max(self.reach_px, 1e-3)
+        return max(within, self.shell.blur_px / SHARP_PX, 2 * THIN_PX / max(self.height_px, 1e-3))
+
+    @property
+    def is_thin(self) -> bool:
+        return self.height_px <= THIN_PX
+
+    @property
+    def height_px(self) -> float:
+        """Scale height of the air; of one density, that of the shell's edge."""
+        return self.shell.height_px or self.reach_px / EVEN
 
 
 def find_air(
@@ -97,7 +163,7 @@ def find_air(
     place: Place = (0.0, 0.0, 0.0),
     sky: Bool[np.ndarray, "h w"] | None = None,
 ) -> AirEvidence:
-    """Does a shell of air explain what a bare limb, blurred by the camera, does not?
+    """Does air explain what a bare limb, blurred by the camera, does not?
 
     Args:
         light: linear light; not finite where it is unknown, but finite in the used pixels.
@@ -110,17 +176,33 @@ def find_air(
     used = used & ~planet
     widths = [width for width in widths if np.any(width[used])]
     if not used.any():
-        nothing = LimbModel(
-            0.0, 8, BLUR_PX[0], (0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0), np.zeros((0, 3))
+        nothing = LimbModel(0.0, 11, np.zeros(PARAMETERS), (0.0, 0.0, 0.0), np.zeros((0, 3)))
+        return AirEvidence(
+            nothing, nothing, 1.0, 0.0, 0.0, 0.0, np.zeros(3), np.zeros(3), glows=False
         )
-        return AirEvidence(nothing, nothing, 1.0, 0.0, glows=False)
     limb = limb_of(light, planet, used, place)
-    bare = _best(light, used, (), limb)
-    shell = _best(light, used, widths, limb, bare)
-    samples = effective_samples(_residual(light, used.shape[1], widths, limb, shell), used, True)
-    floor = float(np.finfo(np.float32).eps) ** 2 * _energy(light, used)
-    evidence = air_evidence(bare, shell, samples, floor)
-    return AirEvidence(bare, shell, samples, evidence, glows(light, limb, bare.level, sky))
+    bare = best_limb(light, used, (), limb, starts())
+    ring = near_limb(planet, used, place, _SEEN * max(h for h in HEIGHTS_PX if h is not None))
+    best, columns = bare, list(widths)
+    if widths:
+        search = _AirSearch(light, used, limb, widths, ring, bare)
+        rough = min((search.rough(height) for height in HEIGHTS_PX), key=lambda m: m.square_sum)
+        laid = search.settled(rough)
+        best, columns = laid.model, laid.columns
+    samples = effective_samples(residual_of(light, used.shape[1], columns, limb, best), used, True)
+    floor = float(np.finfo(np.float32).eps) ** 2 * energy_of(light, used)
+    reach = float(ring[1].max()) if len(ring[1]) and limb.disc.any() else 0.0
+    return AirEvidence(
+        bare=bare,
+        shell=best,
+        samples_effective=samples,
+        delta_bic=air_evidence(bare, best, samples, floor),
+        explained=1 - max(best.square_sum, floor) / max(bare.square_sum, floor, _TINY),
+        reach_px=reach,
+        air=_amplitude(best, columns, used),
+        disc=np.percentile(limb.disc, 95, axis=0) if len(limb.disc) else np.zeros(3),
+        glows=reach >= WITHIN_BLURS * bare.blur_px and glows(light, limb, bare.level, sky),
+    )
 
 
 def bare_limb(
@@ -130,7 +212,111 @@ def bare_limb(
 ) -> LimbModel:
     """The best explanation of the used pixels by a planet without air; arguments as `find_air`."""
     used = used & ~planet
-    return _best(light, used, (), limb_of(light, planet, used))
+    return best_limb(light, used, (), limb_of(light, planet, used), starts())
+
+
+@dataclass(frozen=True)
+class _AirSearch:
+    """Bare limbs with air on them."""
+
+    light: Light
+    used: Bool[np.ndarray, "h w"]
+    limb: Limb
+    widths: Sequence[Float[np.ndarray, "h w"]]
+    ring: tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 5"]]
+    bare: LimbModel
+
+    def rough(self, height: float | None) -> "_Laid":
+        """About the best of one scale height, laid first where the photo's edge is, then where the
+        bare limb's is: that one has swallowed thin air, or the first was air's own."""
+        grid = [self.bare.edge, *starts()]
+        if height is None:
+            return self._lay(None, self.bare.edge, grid, rough=True)
+        found = []
+        for edge in (np.zeros(PARAMETERS), self.bare.edge):
+            laid = self._lay(height, edge, grid, rough=True)
+            for _ in range(_AGAIN):
+                again = self._lay(height, laid.model.edge, [laid.model.edge], rough=True)
+                if not again.square_sum < (1 - _LESS) * laid.square_sum:
+                    break
+                laid = again
+            found.append(laid)
+        return min(found, key=lambda laid: laid.square_sum)
+
+    def settled(self, laid: "_Laid") -> "_Laid":
+        """The best from there on, of all pixels."""
+        height, begin = laid.model.height_px, [laid.model.edge, self.bare.edge]
+        best = self._lay(height, laid.edge, begin)
+        again = self._lay(height, best.model.edge, [best.model.edge])
+        return min(best, again, key=lambda laid: laid.square_sum)
+
+    def _lay(
+        self,
+        height: float | None,
+        edge: Float[np.ndarray, "8"],
+        begin: Sequence[Float[np.ndarray, "8"]],
+        rough: bool = False,
+    ) -> "_Laid":
+        """The best model with air on an edge."""
+        columns = list(self.widths)
+        if height is not None:
+            columns = _thinned(self.widths, self.ring, height, edge)
+        model = best_limb(self.light, self.used, columns, self.limb, begin, height, rough)
+        return _Laid(model, edge, columns)
+
+
+@dataclass(frozen=True)
+class _Laid:
+    """A limb with air that was laid on an edge, which need not be its own."""
+
+    model: LimbModel
+    edge: Float[np.ndarray, "8"]
+    columns: list[Float[np.ndarray, "h w"]]
+
+    @property
+    def square_sum(self) -> float:
+        return self.model.square_sum
+
+
+def _amplitude(
+    model: LimbModel, columns: Sequence[Float[np.ndarray, "h w"]], used: Bool[np.ndarray, "h w"]
+) -> Float[np.ndarray, "3"]:
+    """Light of each channel per light of the columns together, as root mean squares."""
+    found = np.zeros(3)
+    if len(model.widths):
+        parts = np.stack([column[used].astype(np.float64) for column in columns])
+        whole = float((parts.sum(axis=0) ** 2).sum())
+        found = np.sqrt(((parts.T @ model.widths) ** 2).sum(axis=0) / max(whole, _TINY))
+    return np.asarray(found)
+
+
+def _thinned(
+    widths: Sequence[Float[np.ndarray, "h w"]],
+    ring: tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 5"]],
+    height: float,
+    edge: Float[np.ndarray, "8"],
+) -> list[Float[np.ndarray, "h w"]]:
+    """Light of air that thins out from an edge on, blurred as that is, lit as widths are.
+
+    The exponential exp(-x / H) beyond an edge, convolved with a Gaussian, is
+    ½ exp(-x² / 2σ²) erfcx((σ / H - x / σ) / √2).
+    """
+    index, distance, turn = ring
+    # A blur wider than that of a resolved limb may be air's, taken for blur.
+    away, blur = distance - turn @ edge[SHIFT], min(np.exp(edge[BLUR]), SHARP_PX)
+    slant = (blur / height - away / blur) / np.sqrt(2)
+    # Far outside, erfcx of a negative number is 2 exp(slant²), and the product an exponential.
+    near = 0.5 * np.exp(-0.5 * (away / blur) ** 2) * erfcx(np.maximum(slant, -5.0))
+    far = np.exp(0.5 * (blur / height) ** 2 - np.maximum(away, 0.0) / height)
+    light = np.where(slant > -5.0, near, far)
+    total = sum(np.asarray(width).reshape(-1)[index].astype(np.float64) for width in widths)
+    found = []
+    for width in widths:
+        share = np.asarray(width).reshape(-1)[index] / np.where(total > 0, total, 1.0)
+        column = np.zeros(np.shape(width), np.float32)
+        column.reshape(-1)[index] = share * light
+        found.append(column)
+    return found
 
 
 def air_evidence(bare: LimbModel, shell: LimbModel, samples: float, floor: float = 0.0) -> float:
@@ -139,249 +325,6 @@ def air_evidence(bare: LimbModel, shell: LimbModel, samples: float, floor: float
     Schwarz 1978, Ann. Stat. 6, 461, for errors of equal unknown variance. Square sums below `floor`
     count as `floor`: the rounding of the photo tells nothing.
     """
-    tiny = np.finfo(np.float64).tiny
-    ratio = max(bare.square_sum, floor, tiny) / max(shell.square_sum, floor, tiny)
+    ratio = max(bare.square_sum, floor, _TINY) / max(shell.square_sum, floor, _TINY)
     more = shell.parameters - bare.parameters
     return float(samples * np.log(ratio) - more * np.log(samples))
-
-
-@dataclass(frozen=True)
-class _Sums:
-    """What least squares need of all used pixels, about their means."""
-
-    count: int
-    mean: Float[np.ndarray, "3"]
-    width_mean: Float[np.ndarray, " c"]
-    square: Float[np.ndarray, "3"]
-    width_light: Float[np.ndarray, "c 3"]
-    gram: Float[np.ndarray, "c c"]
-
-
-def _best(
-    light: Light,
-    used: Bool[np.ndarray, "h w"],
-    widths: Sequence[Float[np.ndarray, "h w"]],
-    limb: Limb,
-    start: LimbModel | None = None,
-) -> LimbModel:
-    """Least squares: a scan of blur and radius, then descents in blur, place and halo.
-
-    Levels and light per width are solved for at each step.
-    """
-    sums = _add_up(light, used, widths)
-    at_limb = light[np.divmod(limb.index, used.shape[1])].astype(np.float64) - sums.mean
-    columns = [np.asarray(width).reshape(-1)[limb.index].astype(np.float64) for width in widths]
-    width_limb = np.stack(columns, axis=-1) if columns else np.zeros((len(limb.index), 0))
-    width_limb = width_limb - sums.width_mean
-
-    def solve(
-        p: np.ndarray, every: int = 1
-    ) -> tuple[float, Float[np.ndarray, "c 3"], Float[np.ndarray, "3"]]:
-        part = slice(None, None, every)
-        disc = limb.disc[part] * _edge(limb, p, part)[:, None]
-        share = len(limb.index) / max(len(disc), 1)
-        seen = disc.sum(axis=0) * share
-        square = sums.square + share * (disc * (disc - 2 * at_limb[part])).sum(axis=0)
-        square -= seen**2 / sums.count
-        width_light = sums.width_light - share * (width_limb[part].T @ disc)
-        amounts, gain = _air(sums.gram, width_light)
-        level = sums.mean - seen / sums.count - sums.width_mean @ amounts
-        return max(float(square.sum()) - gain, 0.0), amounts, level
-
-    def derivative(p: np.ndarray, every: int) -> tuple[np.ndarray, np.ndarray]:
-        """Half the square sum's gradient, and Gauss and Newton's half Hessian (Kaufman 1975, BIT
-        15, 49: less what level and amounts take up)."""
-        part = slice(None, None, every)
-        _, amounts, level = solve(p, every)
-        slope = _edge_slope(limb, p, part)
-        disc = limb.disc[part]
-        share = len(limb.index) / max(len(disc), 1)
-        model = disc * _edge(limb, p, part)[:, None] + (level - sums.mean)
-        left = at_limb[part] - model - (width_limb[part] + sums.width_mean) @ amounts
-        gradient = -share * slope.T @ (disc * left).sum(axis=1)
-        hessian = share * slope.T @ (slope * (disc**2).sum(axis=1)[:, None])
-        seen = share * slope.T @ disc
-        hessian -= seen @ seen.T / sums.count
-        for k in range(3):
-            length = amounts[:, k] @ sums.gram @ amounts[:, k]
-            if length > 0:
-                along = share * slope.T @ (disc[:, k] * (width_limb[part] @ amounts[:, k]))
-                hessian -= np.outer(along, along) / length
-        return gradient, hessian
-
-    place = np.zeros(5)
-    if len(limb.index) and limb.disc.any():
-        few, most = (-(-len(limb.index) // count) for count in _SEARCHED)
-        starts = [np.array([np.log(s), r, 0, 0, 0]) for s in (0.5, 1, 2, 4) for r in (-1.0, 0, 1.0)]
-        if start is not None:
-            starts.append(np.array([np.log(start.blur_px), *start.shift_px, start.halo]))
-        place = min(starts, key=lambda p: solve(p, few)[0])
-        for every in (few, most):
-            if start is not None and solve(starts[-1], every)[0] < solve(place, every)[0]:
-                place = starts[-1]
-            place = _descend(partial(solve, every=every), partial(derivative, every=every), place)
-    square_sum, amounts, level = solve(place)
-    return LimbModel(
-        square_sum=square_sum,
-        # Blur, halo, three of place, three levels; the air's three colours, their share if unlit.
-        parameters=8 + (3 * bool(widths)) + max(len(widths) - 1, 0),
-        blur_px=float(np.exp(place[0])),
-        shift_px=(float(place[1]), float(place[2]), float(place[3])),
-        halo=float(place[4]),
-        level=(float(level[0]), float(level[1]), float(level[2])),
-        widths=amounts,
-    )
-
-
-def _edge(
-    limb: Limb, p: np.ndarray, part: slice | Bool[np.ndarray, " _"]
-) -> Float[np.ndarray, " _"]:
-    """Share of the disc's light beyond a blurred edge; p: log blur, outward, right, down, halo."""
-    beyond = limb.distance[part] - p[1] - limb.normal[part] @ p[2:4]
-    return (1 - p[4]) * ndtr(-beyond * np.exp(-p[0])) + p[4] * ndtr(-beyond / HALO_PX)
-
-
-def _edge_slope(limb: Limb, p: np.ndarray, part: slice) -> Float[np.ndarray, "n 5"]:
-    """Derivative of `_edge` by p."""
-    normal = limb.normal[part]
-    beyond = limb.distance[part] - p[1] - normal @ p[2:4]
-    sharp, wide = beyond * np.exp(-p[0]), beyond / HALO_PX
-    dense = (1 - p[4]) * np.exp(-0.5 * sharp**2) / np.sqrt(2 * np.pi)
-    halo = p[4] * np.exp(-0.5 * wide**2) / np.sqrt(2 * np.pi)
-    outward = dense * np.exp(-p[0]) + halo / HALO_PX
-    return np.stack(
-        [
-            dense * sharp,
-            outward,
-            outward * normal[:, 0],
-            outward * normal[:, 1],
-            ndtr(-wide) - ndtr(-sharp),
-        ],
-        axis=-1,
-    )
-
-
-def _descend(
-    solve: Callable[[np.ndarray], tuple[float, Any, Any]],
-    derivative: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
-    place: np.ndarray,
-) -> np.ndarray:
-    """Levenberg & Marquardt (1963, J. SIAM 11, 431), steps cut to what is allowed; ends when a step
-    gains less than `_GAIN` of the square sum."""
-    least, damping = solve(place)[0], 1e-3
-    gradient, hessian = derivative(place)
-    for _ in range(_STEPS):
-        # What a step downhill would leave its range with stays.
-        free = (_within(place - 1e-6 * np.sign(gradient)) != place) | (gradient == 0)
-        scale = np.sqrt(np.maximum(np.diag(hessian), 1e-30))
-        matrix = hessian / np.outer(scale, scale) + damping * np.eye(len(place))
-        step = np.zeros_like(place)
-        step[free] = np.linalg.lstsq(
-            matrix[np.ix_(free, free)], (gradient / scale)[free], rcond=None
-        )[0]
-        trial = _within(place - step / scale)
-        value = solve(trial)[0]
-        if value < least:
-            gain, place, least, damping = least - value, trial, value, damping / 10
-            if gain < _GAIN * value:
-                break
-            gradient, hessian = derivative(place)
-        elif (damping := 10 * damping) > 1e6:
-            break
-    return place
-
-
-def _within(p: np.ndarray) -> np.ndarray:
-    """The nearest allowed blur and place."""
-    blur = np.clip(p[:1], *np.log(BLUR_PX))
-    farthest = abs(p[1]) + np.hypot(p[2], p[3])
-    place = p[1:4] * min(1.0, MAX_SHIFT_PX / max(farthest, 1e-30))
-    return np.concatenate([blur, place, np.clip(p[4:], 0, MAX_HALO)])
-
-
-_SHADOWS = np.append(0.0, np.geomspace(1 / 64, 16, 41))
-"""Shadow weights that are tried: the evidence does not ask for them to better than a fifth."""
-
-
-def _air(
-    gram: Float[np.ndarray, "c c"], target: Float[np.ndarray, "c 3"]
-) -> tuple[Float[np.ndarray, "c 3"], float]:
-    """Light per width, and by how much it lowers the square sum.
-
-    As in `model_jax.combine`: a colour times (lit + one weight · shadowed), not negative.
-    """
-    amounts = np.zeros(target.shape)
-    if not len(target):
-        return amounts, 0.0
-    mixes = np.ones((1, 1)) if len(target) == 1 else np.stack([_SHADOWS**0, _SHADOWS], axis=-1)
-    lengths = np.einsum("mi,ij,mj->m", mixes, gram, mixes)
-    colors = np.maximum(mixes @ target, 0) / np.maximum(lengths, 1e-300)[:, None]
-    gains = (colors**2).sum(axis=1) * lengths
-    best = int(np.argmax(gains))
-    return mixes[best][:, None] * colors[best], float(gains[best])
-
-
-def _strips(used: Bool[np.ndarray, "h w"]) -> Iterator[slice]:
-    """Rows in pieces of a quarter of a million pixels, so that copies stay small."""
-    rows = max(1, 2**18 // max(used.shape[1], 1))
-    for start in range(0, used.shape[0], rows):
-        yield slice(start, start + rows)
-
-
-def _columns(
-    light: Light,
-    used: Bool[np.ndarray, "h w"],
-    widths: Sequence[Float[np.ndarray, "h w"]],
-    rows: slice,
-) -> Float[np.ndarray, "n columns"]:
-    here = used[rows]
-    return np.column_stack(
-        [light[rows][here].astype(np.float64)] + [np.asarray(w)[rows][here] for w in widths]
-    )
-
-
-def _add_up(
-    light: Light,
-    used: Bool[np.ndarray, "h w"],
-    widths: Sequence[Float[np.ndarray, "h w"]],
-) -> _Sums:
-    count = int(used.sum())
-    mean = np.zeros(3 + len(widths))
-    for rows in _strips(used):
-        mean += _columns(light, used, widths, rows).sum(axis=0)
-    mean /= max(count, 1)
-    square = np.zeros((len(mean), len(mean)))
-    for rows in _strips(used):
-        part = _columns(light, used, widths, rows) - mean
-        square += part.T @ part
-    return _Sums(
-        count, mean[:3], mean[3:], np.diag(square)[:3].copy(), square[3:, :3], square[3:, 3:]
-    )
-
-
-def _energy(light: Light, used: Bool[np.ndarray, "h w"]) -> float:
-    return sum(float((light[r][used[r]].astype(np.float64) ** 2).sum()) for r in _strips(used))
-
-
-def _residual(
-    light: Light,
-    width: int,
-    widths: Sequence[Float[np.ndarray, "h w"]],
-    limb: Limb,
-    model: LimbModel,
-) -> Callable[[Part], Float[np.ndarray, "h w 3"]]:
-    """Photo less model, window by window."""
-    p = np.array([np.log(model.blur_px), *model.shift_px, model.halo])
-    row, col = np.divmod(limb.index, width)
-
-    def residual(window: Part) -> Float[np.ndarray, "h w 3"]:
-        part = light[window] - np.asarray(model.level)
-        for column, amounts in zip(widths, model.widths, strict=True):
-            part -= np.asarray(column)[window][..., None].astype(np.float64) * amounts
-        y, x = row - window[0].start, col - window[1].start
-        inside = (y >= 0) & (y < part.shape[0]) & (x >= 0) & (x < part.shape[1])
-        disc = limb.disc[inside] * _edge(limb, p, inside)[:, None]
-        part[y[inside], x[inside]] -= disc
-        return part
-
-    return residual

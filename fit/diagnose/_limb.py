@@ -12,10 +12,12 @@ from ..photo._photo import Photo
 
 Light = Photo | Float[np.ndarray, "h w 3"]
 """Linear light; of a photo only the parts that are asked for are decoded."""
-_SMOOTH = 5.0
-"""Gaussian, px, by which the disc's light next to the limb is found."""
+_SMOOTH, _SHARP = 5.0, 2.5
+"""Gaussians, px, by which the disc's light next to the limb is found, and how it changes there."""
 _REACH = 20
-"""Its support, four standard deviations."""
+"""The support of both, four standard deviations of the wider."""
+_LEAST_RUN = 0.05
+"""Least difference of the depth's root, px^½, between the two from which a slope is taken."""
 _NEAR = 16.0
 """Beyond this distance, px, nothing of the disc arrives: 3.25 of the widest blur beyond the most
 shifted edge."""
@@ -43,10 +45,15 @@ class Limb:
     """Flat index in the photo."""
     distance: Float[np.ndarray, " n"]
     """From the mask's edge, px, positive outside."""
-    normal: Float[np.ndarray, "n 2"]
-    """Away from the planet: right, down."""
+    turn: Float[np.ndarray, "n 5"]
+    """By how much the limb moves there if it moves outward, to the right, down, and by the cosine
+    and sine of the doubled angle: where the sun stands low on one side, the lit disc is oval."""
     disc: Float[np.ndarray, "n 3"]
-    """The disc's light, continued outward."""
+    """The disc's light inside, averaged next to the pixel."""
+    slope: Float[np.ndarray, "n 3"]
+    """How it changes with the root of the depth below the limb, per px^½."""
+    root: Float[np.ndarray, " n"]
+    """Root of the depth where `disc` was taken, px^½."""
 
 
 def limb_of(
@@ -55,7 +62,7 @@ def limb_of(
     used: Bool[np.ndarray, "h w"],
     place: Place = (0.0, 0.0, 0.0),
 ) -> Limb:
-    """Distance, normal and the disc's light, which is continued by a Gaussian blur.
+    """What a bare limb's light is made of, pixel by pixel.
 
     Distances are from the photo's limb, at a `place` beside the mask's, and negative within it.
     """
@@ -63,13 +70,12 @@ def limb_of(
     # What of the mask lies beyond the photo's limb is no disc either.
     inward = max(0.0, float(np.hypot(*place[1:])) - place[0])
     inside = _eroded(planet, round(_INSIDE + inward))
-    smooth = _gaussian(TILE)
+    smooth, sharp = _gaussian(TILE, _SMOOTH), _gaussian(TILE, _SHARP)
     height, width = planet.shape
     found: list[tuple[np.ndarray, ...]] = []
     for y, x in limb_tiles(planet, used):
         row, col = np.nonzero(used[y : y + TILE, x : x + TILE])
-        distance, normal = outline.distances(col + x, row + y)
-        distance = distance - place[0] - normal @ np.asarray(place[1:])
+        distance, turn = _beside(outline, col + x, row + y, place)
         rows, cols = (
             np.arange(y - _REACH, y + TILE + _REACH),
             np.arange(x - _REACH, x + TILE + _REACH),
@@ -80,17 +86,78 @@ def limb_of(
         values = light[part]
         known = inside[part] & framed & np.isfinite(values).all(axis=-1)
         weight = (smooth @ known.astype(np.float64) @ smooth.T)[row, col]
-        here = (distance < _NEAR) & (weight > 1e-7)
+        here = (distance < _NEAR) & (weight > _LEAST_WEIGHT)
         if not here.any():
             continue
-        row, col, weight = row[here], col[here], weight[here]
-        values = np.where(known[..., None], values, 0).astype(np.float64)
-        disc = [(smooth @ values[..., k] @ smooth.T)[row, col] / weight for k in range(3)]
+        row, col = row[here], col[here]
+        right, down = np.meshgrid(cols, rows)
+        depth = -_beside(outline, right[known], down[known], place)[0]
+        seen = np.zeros((4, *known.shape))
+        seen[0][known] = np.sqrt(np.maximum(depth, 0))
+        seen[1:, known] = values[known].T
+        root, *disc = _averages(smooth, known, seen, row, col)
+        nearer, *nearby = _averages(sharp, known, seen, row, col)
+        run = nearer - root
+        told = run < -_LEAST_RUN
+        slope = (np.stack(nearby, -1) - np.stack(disc, -1)) / np.where(told, run, np.inf)[:, None]
         index = (row + y) * width + col + x
-        found.append((index, distance[here], normal[here], np.stack(disc, axis=-1)))
+        found.append((index, distance[here], turn[here], np.stack(disc, -1), slope, root))
     if not found:
-        return Limb(np.zeros(0, int), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 3)))
+        none = np.zeros((0, 3))
+        return Limb(np.zeros(0, int), np.zeros(0), np.zeros((0, 5)), none, none, np.zeros(0))
     return Limb(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def near_limb(
+    planet: Bool[np.ndarray, "h w"], used: Bool[np.ndarray, "h w"], place: Place, within: float
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 5"]]:
+    """Used pixels within a distance of the limb, px: flat index, distance, and `Limb.turn`."""
+    outline, (height, width) = outline_of(planet), planet.shape
+    y, x = (np.arange(0, size, TILE) for size in (height, width))
+    left, top = (axis.ravel() for axis in np.meshgrid(x, y))
+    middle = (left + TILE // 2).clip(0, width - 1), (top + TILE // 2).clip(0, height - 1)
+    close = np.abs(outline.distances(*middle)[0]) < within + TILE
+    found: list[tuple[np.ndarray, ...]] = []
+    for y0, x0 in zip(top[close], left[close], strict=True):
+        row, col = np.nonzero(used[y0 : y0 + TILE, x0 : x0 + TILE])
+        distance, turn = _beside(outline, col + x0, row + y0, place)
+        here = distance < within
+        found.append(((row + y0)[here] * width + (col + x0)[here], distance[here], turn[here]))
+    if not found:
+        return np.zeros(0, int), np.zeros(0), np.zeros((0, 5))
+    index, away, turns = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return index, away, turns
+
+
+_LEAST_WEIGHT = 1e-7
+"""Of the Gaussian's, below which an average is one of roundings."""
+
+
+def _averages(
+    gaussian: Float[np.ndarray, "size reach"],
+    known: Bool[np.ndarray, "reach reach"],
+    values: Float[np.ndarray, "k reach reach"],
+    row: Int[np.ndarray, " n"],
+    col: Int[np.ndarray, " n"],
+) -> Float[np.ndarray, "k n"]:
+    """Of known pixels, by a Gaussian; where it reaches none, of all of them."""
+    weight = (gaussian @ known.astype(np.float64) @ gaussian.T)[row, col]
+    blurred = np.stack([(gaussian @ one @ gaussian.T)[row, col] for one in values])
+    whole = values[:, known].mean(axis=1, keepdims=True)
+    reached = weight > _LEAST_WEIGHT
+    return np.asarray(np.where(reached, blurred / np.where(reached, weight, 1.0), whole))
+
+
+def _beside(
+    outline: "Outline", x: Int[np.ndarray, " n"], y: Int[np.ndarray, " n"], place: Place
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 5"]]:
+    """Distances of pixels from the photo's limb, and `Limb.turn`."""
+    distance, normal = outline.distances(x, y)
+    right, down = normal.T
+    turn = np.stack(
+        [np.ones(len(right)), right, down, right**2 - down**2, 2 * right * down], axis=-1
+    )
+    return distance - turn[:, :3] @ np.asarray(place), turn
 
 
 def glows(
@@ -216,10 +283,10 @@ def _from_conic(
     return ((start - foot) * normal).sum(axis=-1), normal
 
 
-def _gaussian(size: int) -> np.ndarray:
+def _gaussian(size: int, sigma: float) -> np.ndarray:
     """Matrix [size, size + 2 reach] that blurs along one axis."""
     lag = np.arange(size + 2 * _REACH)[None, :] - np.arange(size)[:, None] - _REACH
-    kernel = np.where(np.abs(lag) <= _REACH, np.exp(-0.5 * (lag / _SMOOTH) ** 2), 0.0)
+    kernel = np.where(np.abs(lag) <= _REACH, np.exp(-0.5 * (lag / sigma) ** 2), 0.0)
     return kernel / kernel.sum(axis=1, keepdims=True)
 
 

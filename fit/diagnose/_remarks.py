@@ -5,24 +5,20 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import FIELDS, Layers
+from model_jax import FIELDS
 from model_jax._fields import amount_of
 
 from .._choices import CHANNELS
-from .._of_photo import PhotoResult
 from .._result import FitResult, LeftOut
 from .._verdict import STRUCTURED_PX, WELL_EXPLAINED
-from ..photo._columns import Columns, as_picture, light_at, take_columns
+from ..photo._columns import Columns, light_at
 from ..photo._photo import Photo
 from ..photo._pixels import UNKNOWN_SURFACE, Pixels
-from ..photo._widths import fields_at
 from ..solve._parameters import FitParameter, free_directions
 from ..solve._task import Task
-from ._alignment import known_pixels, misaligned
-from ._bare_limb import EVIDENCE, NO_BARE_LIMB, find_air
-from ._evidence import BELIEVED, CHUNK, Evidence, explained_share
+from ._alignment import misaligned
+from ._evidence import CHUNK
 from ._patterns import CAUSES
-from ._residuals import left_over_of
 
 _NO_RING = {"no air", UNKNOWN_SURFACE, "in front of space"}
 """Reasons of all pixels where none with air in front of space is asked for and there."""
@@ -157,92 +153,6 @@ def _remedy(pixels: Pixels) -> str:
 def _varies(columns: Columns) -> bool:
     """The air's width is not the same everywhere."""
     return any(float(np.ptp(f)) > 2 * columns.width_error for f in columns.fields.values())
-
-
-def why_airless(
-    task: Task,
-    pixels: Sequence[Pixels],
-    columns: Sequence[Columns],
-    evidence: Evidence | None,
-    photos: Sequence[PhotoResult],
-) -> tuple[list[str | None], list[str]]:
-    """Why each photo shows no air, or None; and what is doubtful where there is.
-
-    Asked only where the look leaves more of the light unexplained than `NO_BARE_LIMB`: the question
-    costs up to seconds. A share that holds the planet's surface tells less, and so does the ring
-    beside it: `WELL_EXPLAINED` is enough there. Edges tell a bare limb from air best and count
-    here; where a look explains so much of them and of the rest, it does of all.
-    """
-    found: list[str | None] = [None] * len(task.photos)
-    doubts: list[str] = []
-    if not any(_shows_planet(layers) for layers in task.layers):
-        return found, doubts
-    unit = float(task.layers[0].width_unit)
-    beside = [
-        take_columns(photo, layers, px.edges, unit, type(task.look))
-        for photo, layers, px in zip(task.photos, task.layers, pixels, strict=True)
-    ]
-    shares = zip(photos, _shares(beside, evidence), strict=True)
-    for number, (one, of_edges) in enumerate(shares):
-        photo, layers = task.photos[number], task.layers[number]
-        enough = NO_BARE_LIMB if layers.surface is None else WELL_EXPLAINED
-        explained = all(
-            share is not None and share >= enough for share in (one.explained, *of_edges)
-        )
-        if explained or not _shows_planet(layers):
-            continue
-        used = pixels[number].used | pixels[number].edges
-        planet = np.asarray(layers.planet) != 0
-        if not (used & ~planet).any():  # nothing beyond the limb, which a bare one could explain
-            continue
-        index = np.concatenate([columns[number].index, beside[number].index])
-        widths = []
-        for field in fields_at(layers, index, unit, ("lit", "dark")).values():
-            full = np.zeros(np.shape(layers.front), np.float32)
-            full.reshape(-1)[index] = field
-            widths.append(full)
-        if task.loss != "linear" and evidence is not None:
-            used &= ~(evidence.weights()[number] <= BELIEVED)
-        air = find_air(
-            photo if isinstance(photo, Photo) else as_picture(photo),
-            planet,
-            used,
-            widths,
-            (0.0, 0.0, 0.0) if one.alignment is None else one.alignment.place,
-            known_pixels(photo) & ~planet & ~np.asarray(layers.has_air),
-        )
-        if air.has_air and not air.delta_bic > EVIDENCE:
-            which = f" of photo {number + 1}" if len(task.photos) > 1 else ""
-            doubts.append(
-                f"The ring{which} is brighter than the sky beyond it, but not brighter where there "
-                "is more air: check the alignment, and mask what is no air."
-            )
-        if not air.has_air:
-            off = misaligned(one.alignment)
-            found[number] = (
-                "no atmosphere shows: the planet's bare limb, blurred by "
-                f"{air.bare.blur_px:.1f} px, explains the light beyond it as well "
-                f"(the shell's ΔBIC is {air.delta_bic:.0f}, needed are more than "
-                f"{EVIDENCE:.0f})" + (f"; the scene is misaligned: {off}" if off else "")
-            )
-    return found, doubts
-
-
-def _shows_planet(layers: Layers) -> bool:
-    """The layers know a planet, whose limb can be held against air."""
-    return layers.planet is not None and bool(np.any(layers.planet))
-
-
-def _shares(columns: Sequence[Columns], evidence: Evidence | None) -> list[list[float | None]]:
-    """What a fit explains of the light of other pixels; nothing is said of none."""
-    if evidence is None or not any(len(c.index) for c in columns):
-        return [[] for _ in columns]
-    left = left_over_of(evidence.problem.beside(columns), evidence.point.vector)
-    loss = evidence.problem.model.loss
-    return [
-        [explained_share(c.light, residual, loss)] if len(c.index) else []
-        for c, residual in zip(columns, left, strict=True)
-    ]
 
 
 def file_remarks(task: Task) -> list[str]:
