@@ -49,9 +49,9 @@ _LESS = 0.01
 
 LEAST_SHARE = 0.15
 """Share of what a bare limb leaves that air must explain to be worth the question."""
-FRINGE_PX, FRINGE = 0.3, 0.3
+FRINGE_PX, FRINGE = 0.3, 0.2
 """How far thin air must move the edge to be worth the question, or what it must explain: a lens's
-colours lie a third of a pixel apart, and its blur is no Gaussian. Of the Moon both are 0.2."""
+colours lie a third of a pixel apart, and its blur is no Gaussian. Of the Moon the share is 0.19."""
 CLEAR, CLEAR_THIN, CLEAR_BLURRED = 0.12, 0.35, 0.5
 """Share from which air is told: where the limb is resolved; where it is not, or the air is thinner
 than `THIN_PX`; and where the shell is within the blur's reach."""
