@@ -211,7 +211,7 @@ def _estimates(task: Task, end: End, worth: _Worth) -> dict[str, Estimate]:
     return found
 
 
-def _verdict(task: Task, end: End, photos: Sequence[PhotoResult], untold: bool) -> Verdict:
+def _verdict(task: Task, end: End, photos: Sequence[PhotoResult], untold: bool = False) -> Verdict:
     if not end.finite:
         return Verdict.DIVERGED
     if not end.settled:
