@@ -326,7 +326,8 @@ def _message(
         sentence += f" ({', '.join(at_bound)})"
     if result.explained is not None:
         share = percent(result.explained)
-        sentence += f"; it explains {share} of the light's variance in the pixels used"
+        what = "the fit" if untold else "it"
+        sentence += f"; {what} explains {share} of the light's variance in the pixels used"
     if verdict is Verdict.MISFIT:
         sentence += (
             f", and what is left over and hangs together is {percent(result.structure or 0.0)} of "

@@ -49,9 +49,10 @@ _LESS = 0.01
 
 LEAST_SHARE = 0.15
 """Share of what a bare limb leaves that air must explain to be worth the question."""
-FRINGE_PX, FRINGE = 0.3, 0.2
-"""How far thin air must move the edge to be worth the question, or what it must explain: a lens's
-colours lie a third of a pixel apart, and its blur is no Gaussian. Of the Moon the share is 0.19."""
+FRINGE_PX, COMMON = 0.3, 0.6
+"""How far a lens lays channels beside each other, and the share of thin air's light, as a shift of
+the edge, from which all channels have it: of the Moon's limb, the red a third of a pixel farther
+out, it is a half, of EPIC's air 0.86 and more."""
 CLEAR, CLEAR_THIN, CLEAR_BLURRED = 0.12, 0.35, 0.5
 """Share from which air is told: where the limb is resolved; where it is not, or the air is thinner
 than `THIN_PX`; and where the shell is within the blur's reach."""
@@ -97,12 +98,12 @@ class AirEvidence:
 
     @property
     def is_fringe(self) -> bool:
-        """Thin air that is no more than a lens may make of the edge."""
+        """Thin air in some channels more than in others, as a lens makes of a limb."""
         height = self.shell.height_px
-        if height is None or height > THIN_PX or self.explained >= FRINGE:
+        if height is None or height > THIN_PX or self.explained >= CLEAR_THIN:
             return False
         shift = self.air * height / np.maximum(self.disc, _TINY)
-        return bool(shift.max() <= FRINGE_PX)
+        return bool(shift.min() < COMMON * shift.max() and np.ptp(shift) <= FRINGE_PX)
 
     @property
     def by_glow(self) -> bool:
@@ -188,7 +189,7 @@ def find_air(
         search = _AirSearch(light, used, limb, widths, ring, bare)
         rough = min((search.rough(height) for height in HEIGHTS_PX), key=lambda m: m.square_sum)
         laid = search.settled(rough)
-        best, columns = laid.model, laid.columns
+        best, columns = laid.model, search.columns(laid.model.height_px, laid.edge)
     samples = effective_samples(residual_of(light, used.shape[1], columns, limb, best), used, True)
     floor = float(np.finfo(np.float32).eps) ** 2 * energy_of(light, used)
     reach = float(ring[1].max()) if len(ring[1]) and limb.disc.any() else 0.0
@@ -258,11 +259,17 @@ class _AirSearch:
         rough: bool = False,
     ) -> "_Laid":
         """The best model with air on an edge."""
-        columns = list(self.widths)
-        if height is not None:
-            columns = _thinned(self.widths, self.ring, height, edge)
+        columns = self.columns(height, edge)
         model = best_limb(self.light, self.used, columns, self.limb, begin, height, rough)
-        return _Laid(model, edge, columns)
+        return _Laid(model, edge)
+
+    def columns(
+        self, height: float | None, edge: Float[np.ndarray, "8"]
+    ) -> list[Float[np.ndarray, "h w"]]:
+        """Light of air on an edge, lit and shadowed, as large as the photo."""
+        if height is None:
+            return list(self.widths)
+        return _thinned(self.widths, self.ring, height, edge)
 
 
 @dataclass(frozen=True)
@@ -271,7 +278,6 @@ class _Laid:
 
     model: LimbModel
     edge: Float[np.ndarray, "8"]
-    columns: list[Float[np.ndarray, "h w"]]
 
     @property
     def square_sum(self) -> float:

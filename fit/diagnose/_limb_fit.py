@@ -7,7 +7,6 @@ NumPy and SciPy.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,9 +22,9 @@ _GAIN = 1e-6
 thousand independent samples."""
 _ROUGH = 1e-4
 """The same where heights are compared that are told apart by per cents."""
-_SEARCHED = 50_000
-"""Pixels by the limb that a search looks at, evenly chosen; the square sum of the end point is that
-of all."""
+_SEARCHED = (10_000, 50_000)
+"""Pixels by the limb that a rough and a fine search look at, evenly chosen; the square sum of the
+end point is that of all."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +70,76 @@ class _Sums:
     gram: Float[np.ndarray, "c c"]
 
 
+@dataclass(frozen=True)
+class _Problem:
+    """Light beside a limb, as a function of the edge; levels and light per width are solved for."""
+
+    sums: _Sums
+    limb: Limb
+    light: Float[np.ndarray, "n 3"]
+    widths: Float[np.ndarray, "n c"]
+    """Both of the limb's pixels, less the means."""
+    share: float = 1.0
+    """Pixels that each of these stands for."""
+
+    def solve(
+        self, p: Float[np.ndarray, "8"]
+    ) -> tuple[float, Float[np.ndarray, "c 3"], Float[np.ndarray, "3"]]:
+        """Square sum, light per width, level."""
+        sums, disc = self.sums, disc_light(self.limb, p)
+        seen = self.share * disc.sum(axis=0)
+        square = sums.square + self.share * (disc * (disc - 2 * self.light)).sum(axis=0)
+        square -= seen**2 / sums.count
+        width_light = sums.width_light - self.share * (self.widths.T @ disc)
+        amounts, gain = _air(sums.gram, width_light)
+        level = sums.mean - seen / sums.count - sums.width_mean @ amounts
+        return max(float(square.sum()) - gain, 0.0), amounts, level
+
+    def derivative(
+        self, p: Float[np.ndarray, "8"]
+    ) -> tuple[Float[np.ndarray, "8"], Float[np.ndarray, "8 8"]]:
+        """Half the square sum's gradient, and Gauss and Newton's half Hessian (Kaufman 1975, BIT
+        15, 49: less what level and amounts take up)."""
+        sums, (_, amounts, level) = self.sums, self.solve(p)
+        sky = level - sums.mean + sums.width_mean @ amounts
+        left = self.light - disc_light(self.limb, p) - sky - self.widths @ amounts
+        gradient, hessian = np.zeros(len(p)), np.zeros((len(p), len(p)))
+        for k, slope in enumerate(disc_slopes(self.limb, p)):
+            gradient -= self.share * slope.T @ left[:, k]
+            seen = self.share * slope.sum(axis=0)
+            hessian += self.share * slope.T @ slope - np.outer(seen, seen) / sums.count
+            length = amounts[:, k] @ sums.gram @ amounts[:, k]
+            if length > 0:
+                along = self.share * slope.T @ (self.widths @ amounts[:, k])
+                hessian -= np.outer(along, along) / length
+        return gradient, hessian
+
+    def of_few(self, most: int) -> "_Problem":
+        """The same with evenly chosen pixels of the limb in place of all."""
+        every = -(-len(self.light) // most)
+        if every <= 1:
+            return self
+        limb = Limb(**{name: values[::every] for name, values in vars(self.limb).items()})
+        light, widths, sums = self.light[::every], self.widths[::every], self.sums
+        share = len(self.light) / len(light)
+        # Means and products with the chosen in place of all; a mixture of both would be no sum of
+        # squares.
+        mean = (share * light.sum(axis=0) - self.light.sum(axis=0)) / sums.count
+        width_mean = (share * widths.sum(axis=0) - self.widths.sum(axis=0)) / sums.count
+        square = share * (light**2).sum(axis=0) - (self.light**2).sum(axis=0)
+        products = share * widths.T @ light - self.widths.T @ self.light
+        gram = share * widths.T @ widths - self.widths.T @ self.widths
+        few = _Sums(
+            sums.count,
+            sums.mean + mean,
+            sums.width_mean + width_mean,
+            sums.square + square - sums.count * mean**2,
+            sums.width_light + products - sums.count * np.outer(width_mean, mean),
+            sums.gram + gram - sums.count * np.outer(width_mean, width_mean),
+        )
+        return _Problem(few, limb, light - mean, widths - width_mean, share)
+
+
 def best_limb(
     light: Light,
     used: Bool[np.ndarray, "h w"],
@@ -80,61 +149,22 @@ def best_limb(
     height: float | None = None,
     rough: bool = False,
 ) -> LimbModel:
-    """Least squares: the best of the starts, then descents by the edge.
+    """Least squares: from the best of the starts a descent by the edge.
 
-    Levels and light per width are solved for at each step. A rough one ends where a step gains less
-    than a hundredth of a per cent.
+    A rough one looks at few pixels of the limb, and ends where a step gains less than a hundredth
+    of a per cent.
     """
     sums = _add_up(light, used, widths)
     at_limb = light[np.divmod(limb.index, used.shape[1])].astype(np.float64) - sums.mean
     columns = [np.asarray(width).reshape(-1)[limb.index].astype(np.float64) for width in widths]
     width_limb = np.stack(columns, axis=-1) if columns else np.zeros((len(limb.index), 0))
-    width_limb = width_limb - sums.width_mean
-
-    def solve(
-        p: np.ndarray, every: int = 1
-    ) -> tuple[float, Float[np.ndarray, "c 3"], Float[np.ndarray, "3"]]:
-        part = slice(None, None, every)
-        disc = disc_light(limb, p, part)
-        share = len(limb.index) / max(len(disc), 1)
-        seen = disc.sum(axis=0) * share
-        square = sums.square + share * (disc * (disc - 2 * at_limb[part])).sum(axis=0)
-        square -= seen**2 / sums.count
-        width_light = sums.width_light - share * (width_limb[part].T @ disc)
-        amounts, gain = _air(sums.gram, width_light)
-        level = sums.mean - seen / sums.count - sums.width_mean @ amounts
-        return max(float(square.sum()) - gain, 0.0), amounts, level
-
-    def derivative(p: np.ndarray, every: int) -> tuple[np.ndarray, np.ndarray]:
-        """Half the square sum's gradient, and Gauss and Newton's half Hessian (Kaufman 1975, BIT
-        15, 49: less what level and amounts take up)."""
-        part = slice(None, None, every)
-        _, amounts, level = solve(p, every)
-        disc = disc_light(limb, p, part)
-        share = len(limb.index) / max(len(disc), 1)
-        model = disc + (level - sums.mean) + (width_limb[part] + sums.width_mean) @ amounts
-        left = at_limb[part] - model
-        gradient, hessian = np.zeros(len(p)), np.zeros((len(p), len(p)))
-        for k, slope in enumerate(disc_slopes(limb, p, part)):
-            gradient -= share * slope.T @ left[:, k]
-            seen = share * slope.sum(axis=0)
-            hessian += share * slope.T @ slope - np.outer(seen, seen) / sums.count
-            length = amounts[:, k] @ sums.gram @ amounts[:, k]
-            if length > 0:
-                along = share * slope.T @ (width_limb[part] @ amounts[:, k])
-                hessian -= np.outer(along, along) / length
-        return gradient, hessian
-
+    whole = _Problem(sums, limb, at_limb, width_limb - sums.width_mean)
     edge = np.zeros(PARAMETERS)
     if len(limb.index) and limb.disc.any():
-        every = -(-len(limb.index) // _SEARCHED)
-        edge = _descend(
-            partial(solve, every=every),
-            partial(derivative, every=every),
-            min(begin, key=lambda p: solve(p, every)[0]),
-            _ROUGH if rough else _GAIN,
-        )
-    square_sum, amounts, level = solve(edge)
+        few = whole.of_few(_SEARCHED[0 if rough else 1])
+        best = min(begin, key=lambda p: few.solve(p)[0])
+        edge = _descend(few.solve, few.derivative, best, _ROUGH if rough else _GAIN)
+    square_sum, amounts, level = whole.solve(edge)
     return LimbModel(
         square_sum=square_sum,
         # The edge's, three levels; the air's three colours, their share if unlit, its height.
