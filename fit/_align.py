@@ -17,12 +17,13 @@ from model_jax._kinds import need
 
 from ._of_photo import Alignment
 from .diagnose._alignment import FOUND_PX, OFF_PX, alignment_of
+from .photo._columns import size_of
 from .photo._photo import Photo
 
 MET_PX = 0.02
 """Distance of two limbs, px, at which they have met: a tenth of what their places are known to."""
-_ROUNDS = 4
-"""The first brings limbs within a few per cent of their distance; the last confirms."""
+_ROUNDS = 6
+"""The first brings limbs within a few per cent of their distance, of wide views a quarter."""
 
 
 def align(photo: Photo | ArrayLike, scene: Scene) -> Scene:
@@ -53,35 +54,38 @@ def align(photo: Photo | ArrayLike, scene: Scene) -> Scene:
 
 def aligned(
     photo: Photo | np.ndarray | jax.Array, scene: Scene, draw: Callable[[Scene], Layers]
-) -> tuple[Scene, Alignment]:
-    """`align` with layers drawn by anybody, and how far the photo's limb lay off before."""
-    size = tuple(photo.shape[:2])
-    if size != (scene.camera.height, scene.camera.width):
+) -> tuple[Scene, Alignment | None]:
+    """`align` with layers drawn by anybody, and how far the photo's limb lay off before; None where
+    the scene stays as it is."""
+    height, width = size_of(photo)
+    camera = scene.camera
+    if (height, width) != (camera.height, camera.width):
         raise InputError(
-            f"align: the photo has {size[1]}×{size[0]} pixels, the scene's camera "
-            f"{scene.camera.width}×{scene.camera.height}; give scene.resized({size[1]}, {size[0]})"
+            f"align: the photo has {width}×{height} pixels, the scene's camera "
+            f"{camera.width}×{camera.height}; give scene.resized({width}, {height})"
         )
     first = found = alignment_of(photo, draw(scene))
-    for _ in range(_ROUNDS):
-        if found is None or found.off <= MET_PX:
-            break
-        moved = replace(scene, camera=aligned_camera(scene, found))
-        again = alignment_of(photo, draw(moved))
-        if again is not None and again.off >= found.off:
-            break  # as near as edges tell
-        scene, found = moved, again
     if first is None or found is None:
         raise InputError(
             f"align: no limb of the planet is seen within {FOUND_PX:.0f} px of the scene's; turn "
             "camera.forward toward it first, or leave the scene as it is"
         )
+    mended = scene
+    for _ in range(_ROUNDS):
+        if found.off <= MET_PX:
+            break
+        moved = replace(mended, camera=aligned_camera(mended, found))
+        again = alignment_of(photo, draw(moved))
+        if again is None or again.off >= found.off:
+            break  # as near as edges tell
+        mended, found = moved, again
     if found.off > OFF_PX:
         raise InputError(
-            f"align: edges beside the planet lie within {found.rms:.1f} px of one limb, "
-            f"{found.off:.1f} px beside the scene's, and moving it brings them no nearer; leave "
-            "the scene as it is, or check camera.position and planet.radius"
+            f"align: the photo's limb, whose edges lie within {found.rms:.1f} px of one, stays "
+            f"{found.off:.1f} px beside the scene's however the camera is turned; leave the scene "
+            "as it is, or check camera.position and planet.radius"
         )
-    return scene, first
+    return mended, None if mended is scene else first
 
 
 def _exact(scene: Scene) -> Layers:
@@ -91,17 +95,25 @@ def _exact(scene: Scene) -> Layers:
 def aligned_camera(scene: Scene, found: Alignment) -> Camera:
     """The scene's camera, turned and zoomed so that its limb meets the photo's.
 
-    The planet's centre is moved by the shift, its image scaled about itself; the limb of a planet
-    that fills much of the view is moved so to first order only.
+    The planet's centre is moved by the shift, its image scaled about itself. Where the centre is
+    not in the picture, as from an orbit, size and place of an arc are one: the picture's middle is
+    moved by what both make of the limb there. Either is so to first order.
     """
     camera = scene.camera
     basis = np.asarray(camera.basis(), np.float64)
     center = -basis @ np.asarray(camera.position, np.float64)
     pixel = float(camera.pixel_size())
-    seen = center[:2] / center[2] / pixel + np.array([found.right, -found.down])
-    half = np.tan(np.radians(float(camera.fov_y_deg)) / 2) / found.scale
-    wanted = np.append(seen * pixel / found.scale, 1.0)
-    turn = Rotation.align_vectors(wanted, center)[0].as_matrix()  # the least that does
+    half = np.tan(np.radians(float(camera.fov_y_deg)) / 2)
+    shift = np.array([found.right, -found.down])
+    frame = np.array([camera.width, camera.height]) / 2 * pixel
+    if center[2] > 0 and (np.abs(center[:2]) <= frame * center[2]).all():
+        start = center / center[2]
+        half /= found.scale
+        wanted = (start[:2] + shift * pixel) / found.scale
+    else:
+        start = np.array([0.0, 0.0, 1.0])
+        wanted = pixel * (shift - found.outward * center[:2] / np.linalg.norm(center[:2]))
+    turn = Rotation.align_vectors(np.append(wanted, 1.0), start)[0].as_matrix()  # the least
     return replace(
         camera,
         forward=(turn @ basis)[2],

@@ -316,8 +316,8 @@ def _fit(task: Task, where: Where) -> FitResult:
     else:
         # Last, for it takes seconds, and nothing else asks what JPEG did.
         debiased = debias_jpeg(evidence, residuals) if evidence and task.jpeg == "undo" else None
-        left_out = [*pixel_remarks(pixels), *left_out]
-        result = judge(task, end, evidence, photos, residuals, debiased, left_out, air.untold)
+        left_out = [*pixel_remarks(pixels), *left_out, *air.left_out()]
+        result = judge(task, end, evidence, photos, residuals, debiased, left_out, air.is_open)
         result = with_warnings(result, air.warnings())
     times.append(perf_counter())
     names = ("reduce", "solve", "errors")

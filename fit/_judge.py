@@ -70,12 +70,12 @@ def judge(
     residuals: Sequence[Float[np.ndarray, "_ 3"]],
     debiased: Debiased | str | None,
     left_out: Sequence[LeftOut],
-    untold: str = "",
+    untold: bool = False,
 ) -> FitResult:
     """Values, errors and verdict.
 
     Args:
-        untold: why it cannot be told whether there is air.
+        untold: it cannot be told whether there is air.
         residuals: at the end point, by `residuals_of`.
         debiased: the look before JPEG, or why it is not known; None where nobody asked.
         left_out: what was left out so far.
@@ -90,7 +90,7 @@ def judge(
         for flat in end.flat
         for p in flat.held
     ]
-    verdict = _verdict(task, end, photos, bool(untold))
+    verdict = _verdict(task, end, photos, untold)
     responses = to_responses(worth.vector, task.layout)
     result = FitResult(
         verdict=verdict.label,
@@ -116,7 +116,7 @@ def judge(
         evidence=evidence,
     )
     stuck = [p.name for p in end.at_bound if not at_least(p, end.vector)]
-    message = _message(verdict, result, stuck, type(task.look), untold)
+    message = _message(verdict, result, stuck, type(task.look))
     return with_warnings(replace(result, message=message), warnings_of(result, task, residuals))
 
 
@@ -307,27 +307,15 @@ def without_data(
     return with_warnings(result, file_remarks(task))
 
 
-FINER = (
-    "use a photo with finer pixels or a sharper lens; the fit holds if air is what lies beside the "
-    "limb"
-)
-"""What to do where it cannot be told whether there is air."""
-
-
-def _message(
-    verdict: Verdict, result: FitResult, at_bound: Sequence[str], kind: type[Look], untold: str
-) -> str:
+def _message(verdict: Verdict, result: FitResult, at_bound: Sequence[str], kind: type[Look]) -> str:
     sentence, remedy = VERDICTS[verdict]
-    if untold:
-        sentence, remedy = untold[0].upper() + untold[1:], FINER
     if verdict is Verdict.MISFIT:
         remedy = remedy_of(result, kind)
     if at_bound:
         sentence += f" ({', '.join(at_bound)})"
     if result.explained is not None:
         share = percent(result.explained)
-        what = "the fit" if untold else "it"
-        sentence += f"; {what} explains {share} of the light's variance in the pixels used"
+        sentence += f"; it explains {share} of the light's variance in the pixels used"
     if verdict is Verdict.MISFIT:
         sentence += (
             f", and what is left over and hangs together is {percent(result.structure or 0.0)} of "

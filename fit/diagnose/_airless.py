@@ -13,6 +13,7 @@ from jaxtyping import Bool, Int
 from model_jax import Layers
 
 from .._of_photo import PhotoResult
+from .._result import LeftOut
 from .._verdict import WELL_EXPLAINED
 from ..photo._columns import Columns, as_picture, fields_at, take_columns
 from ..photo._photo import Photo
@@ -37,23 +38,28 @@ class Answers:
     """What is doubtful where there is some."""
 
     @property
-    def untold(self) -> str:
-        """Why no photo tells whether there is air; empty where one does."""
+    def is_open(self) -> bool:
+        """No photo shows air, and one does not tell whether there is some."""
         both = [no or maybe for no, maybe in zip(self.none, self.open, strict=True)]
-        return next((why for why in self.open if why), "") if all(both) else ""
+        return all(both) and any(self.open)
+
+    def left_out(self) -> list[LeftOut]:
+        """The question, where it has no answer."""
+        what = "whether there is air"
+        return [
+            LeftOut(f"{what}, photo {number}" if len(self.open) > 1 else what, why)
+            for number, why in enumerate(self.open, 1)
+            if why
+        ]
 
     def warnings(self) -> list[str]:
         """What has to be said beside the verdict."""
-        several = len(self.none) > 1
         for_some = [
             f"Photo {number}: {why}. Leave it out, or check its alignment and exposure."
             for number, why in enumerate(self.none, 1)
             if why
         ]
-        beside = [
-            f"Photo {number}: {why}." for number, why in enumerate(self.open, 1) if why and several
-        ]
-        return [*self.doubts, *for_some, *beside]
+        return [*self.doubts, *for_some]
 
 
 def ask_for_air(
@@ -89,7 +95,8 @@ def ask_for_air(
         )
         if explained or not _shows_planet(layers):
             continue
-        used = pixels[number].used | pixels[number].edges
+        # In the ring alone: of how much of the sky a fit uses the answer must not depend.
+        used = (pixels[number].used | pixels[number].edges) & np.asarray(layers.has_air)
         if task.loss != "linear" and evidence is not None:
             used &= ~(evidence.weights()[number] <= BELIEVED)
         if not (used & (np.asarray(layers.planet) == 0)).any():
@@ -141,20 +148,30 @@ def _ask(
 
 
 def _why_none(air: AirEvidence) -> str:
-    return (
-        "no atmosphere shows: the planet's bare limb, blurred by "
-        f"{air.bare.blur_px:.1f} px, explains the light beyond it as well "
-        f"(the air's ΔBIC is {air.delta_bic:.0f}, needed are more than {EVIDENCE:.0f}; of what the "
-        f"limb leaves it explains {percent(max(air.explained, 0.0))})"
+    blur, more = f"{air.bare.blur_px:.1f} px", percent(max(air.explained, 0.0))
+    beside = (
+        f"no atmosphere shows: the planet's bare limb, blurred by {blur}, explains the light beyond "
+        "it"
     )
+    if air.delta_bic <= EVIDENCE:
+        return (
+            f"{beside} as well (the air's ΔBIC is {air.delta_bic:.0f}, needed are more than "
+            f"{EVIDENCE:.0f})"
+        )
+    if air.is_fringe:
+        return (
+            f"{beside} but for a fringe of colour, as a lens makes of a limb: air explains {more} "
+            "of what is left over, in some channels more than in others"
+        )
+    return f"{beside} nearly as well: air explains {more} of what is left over"
 
 
 def _why_open(air: AirEvidence) -> str:
     return (
-        "whether there is air cannot be told at this resolution: beside the planet's bare limb, "
-        f"blurred by {air.shell.blur_px:.1f} px, air explains {percent(air.explained)} of what is "
-        f"left over, and up to {percent(air.needed)} the limb's own errors may; pixels, and the "
-        f"blur with them, {air.finer:.1f} times as fine would tell"
+        f"beside the planet's bare limb, blurred by {air.shell.blur_px:.1f} px, air explains "
+        f"{percent(air.explained)} of what is left over, and up to {percent(air.needed)} the "
+        f"limb's own errors may; pixels, and the blur with them, {air.finer:.1f} times as fine "
+        "would tell"
     )
 
 

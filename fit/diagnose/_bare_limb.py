@@ -43,6 +43,8 @@ HEIGHTS_PX = (None, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Scale heights of air that are tried; None is one density within the shell."""
 _SEEN = 6.0
 """Scale heights beyond which air is dark: a four-hundredth of its light."""
+_LEAST_REACH = 0.1
+"""Of a shell that ends within the photo's limb, px."""
 _AGAIN = 3
 _LESS = 0.01
 """How often air is laid on the edge anew, and what it must gain for another time."""
@@ -79,9 +81,9 @@ class AirEvidence:
     explained: float
     """Share of what the bare limb leaves over that air explains."""
     reach_px: float
-    """How far beyond the limb the ring goes; 0 where no limb is lit beside it."""
+    """How far beyond the limb the shell goes; 0 where no limb is lit beside it."""
     air: Float[np.ndarray, "3"]
-    """The air's light at the limb."""
+    """The light at the limb of air that thins out, else that of its width's unit."""
     disc: Float[np.ndarray, "3"]
     """The disc's light where it is brightest beside the limb."""
     glows: bool
@@ -102,7 +104,7 @@ class AirEvidence:
         height = self.shell.height_px
         if height is None or height > THIN_PX or self.explained >= CLEAR_THIN:
             return False
-        shift = self.air * height / np.maximum(self.disc, _TINY)
+        shift = self.air * height / np.maximum(self.disc, 1e-3 * self.disc.max() + _TINY)
         return bool(shift.min() < COMMON * shift.max() and np.ptp(shift) <= FRINGE_PX)
 
     @property
@@ -143,7 +145,7 @@ class AirEvidence:
     @property
     def finer(self) -> float:
         """How many times as fine a picture would have to be for a clear answer."""
-        within = self.reach_needed_px / max(self.reach_px, 1e-3)
+        within = self.reach_needed_px / max(self.reach_px, _LEAST_REACH)
         return max(within, self.shell.blur_px / SHARP_PX, 2 * THIN_PX / max(self.height_px, 1e-3))
 
     @property
@@ -192,13 +194,15 @@ def find_air(
         best, columns = laid.model, search.columns(laid.model.height_px, laid.edge)
     samples = effective_samples(residual_of(light, used.shape[1], columns, limb, best), used, True)
     floor = float(np.finfo(np.float32).eps) ** 2 * energy_of(light, used)
-    reach = float(ring[1].max()) if len(ring[1]) and limb.disc.any() else 0.0
+    shell = sum(np.asarray(width).reshape(-1)[ring[0]] for width in widths) if widths else ring[1]
+    filled = ring[1][shell > 0]
+    reach = max(float(filled.max()), _LEAST_REACH) if len(filled) and limb.disc.any() else 0.0
     return AirEvidence(
         bare=bare,
         shell=best,
         samples_effective=samples,
         delta_bic=air_evidence(bare, best, samples, floor),
-        explained=1 - max(best.square_sum, floor) / max(bare.square_sum, floor, _TINY),
+        explained=1 - max(best.square_sum, floor, _TINY) / max(bare.square_sum, floor, _TINY),
         reach_px=reach,
         air=_amplitude(best, columns, used),
         disc=np.percentile(limb.disc, 95, axis=0) if len(limb.disc) else np.zeros(3),

@@ -116,7 +116,8 @@ def near_limb(
     y, x = (np.arange(0, size, TILE) for size in (height, width))
     left, top = (axis.ravel() for axis in np.meshgrid(x, y))
     middle = (left + TILE // 2).clip(0, width - 1), (top + TILE // 2).clip(0, height - 1)
-    close = np.abs(outline.distances(*middle)[0]) < within + TILE
+    # Of tiles near the middle of a planet the distance is anything, but negative.
+    close = outline.distances(*middle)[0] < within + TILE
     found: list[tuple[np.ndarray, ...]] = []
     for y0, x0 in zip(top[close], left[close], strict=True):
         row, col = np.nonzero(used[y0 : y0 + TILE, x0 : x0 + TILE])

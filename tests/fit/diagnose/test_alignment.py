@@ -9,7 +9,7 @@ from fit import FitResult, align, fit
 from fit._align import aligned_camera, camera_lines
 from fit._of_photo import Alignment
 from fit.diagnose._alignment import OFF_PX, limb_beside, misaligned
-from model_jax import InputError, Planet, Scene, Sun, analytic_layers
+from model_jax import Atmosphere, Camera, InputError, Planet, Scene, Sun, analytic_layers
 from tests.fit.diagnose.discs import disc_scene, full_moon, moon
 
 SIZE = (200, 200)
@@ -139,9 +139,43 @@ def test_align_lays_a_scene_on_the_photo(blur: float, rng: np.random.Generator) 
     assert scene.sun is wrong.sun
 
 
+@pytest.mark.parametrize("pitch", [0.0, 8.0], ids=["centre below", "centre behind"])
+def test_align_from_an_orbit(pitch: float, rng: np.random.Generator) -> None:
+    """The planet's centre is far from the picture, or behind it."""
+    # The limb is arccos(R / r) below the horizon, 20 degrees from 400 km above Earth.
+    down = np.arccos(6371 / 6771) - np.radians(pitch)
+
+    def scene(turn: float) -> Scene:
+        angle = down + np.radians(turn)
+        camera = Camera(
+            position=(0.0, 6771.0, 0.0),
+            forward=(0.0, -np.sin(angle), -np.cos(angle)),
+            up=(0.0, 1.0, 0.0),
+            fov_y_deg=50.0,
+            width=200,
+            height=200,
+            near=1.0,
+            far=9000.0,
+        )
+        return Scene(camera, Planet(radius=6371.0), Atmosphere(height=100.0))
+
+    truth, wrong = scene(0.0), scene(1.5)
+    light = 0.5 * (np.asarray(analytic_layers(truth).planet) != 0)[..., None] * np.ones(3)
+    light += rng.normal(scale=0.003, size=light.shape)
+    before = limb_beside(light, np.asarray(analytic_layers(wrong).planet) != 0, KNOWN)
+    assert before is not None
+    assert before.off > 4
+    mended = align(light, wrong)
+    after = limb_beside(light, np.asarray(analytic_layers(mended).planet) != 0, KNOWN)
+    assert after is not None
+    assert after.off < 0.15
+
+
 def test_align_says_what_it_cannot(rng: np.random.Generator) -> None:
     scene = disc_scene(SIZE, (99.5, 99.5, 60.0), 0.1)
     with pytest.raises(InputError, match="no limb of the planet is seen within 12 px"):
         align(rng.random((*SIZE, 3)), scene)
+    with pytest.raises(InputError, match="photo"):
+        align(np.zeros(5), scene)
     with pytest.raises(InputError, match=r"give scene.resized\(200, 100\)"):
         align(np.zeros((100, 200, 3)), scene)
