@@ -148,10 +148,10 @@ def _ask(
 
 
 def _why_none(air: AirEvidence) -> str:
-    blur, more = f"{air.bare.blur_px:.1f} px", percent(max(air.explained, 0.0))
+    more = percent(max(air.explained, 0.0))
     beside = (
-        f"no atmosphere shows: the planet's bare limb, blurred by {blur}, explains the light beyond "
-        "it"
+        f"no atmosphere shows: the planet's bare limb, blurred by {air.bare.blur_px:.1f} px, "
+        "explains the light beyond it"
     )
     if air.delta_bic <= EVIDENCE:
         return (

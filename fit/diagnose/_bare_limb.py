@@ -58,6 +58,8 @@ out, it is a half, of EPIC's air 0.86 and more."""
 CLEAR, CLEAR_THIN, CLEAR_BLURRED = 0.12, 0.35, 0.5
 """Share from which air is told: where the limb is resolved; where it is not, or the air is thinner
 than `THIN_PX`; and where the shell is within the blur's reach."""
+WHITE = 0.9
+"""Share of samples that are independent from which what is left over is white noise."""
 THIN_PX = 1.0
 """Scale height up to which air looks like the edge itself."""
 SHARP_PX = 1.3
@@ -75,7 +77,10 @@ class AirEvidence:
 
     bare: LimbModel
     shell: LimbModel
+    samples: int
+    """Three of each pixel."""
     samples_effective: float
+    """As many independent ones tell as much, by what air leaves over."""
     delta_bic: float
     """BIC(bare) − BIC(shell)."""
     explained: float
@@ -120,11 +125,16 @@ class AirEvidence:
     @property
     def needed(self) -> float:
         """Share that air must explain to be told; of no limb's errors none."""
-        if not self.reach_px:
+        if not self.reach_px or (self.is_all and not self.is_thin):
             return 0.0
         if self.is_within_blur and not self.is_at_limits:
             return CLEAR_BLURRED
         return CLEAR_THIN if self.is_thin or self.shell.blur_px > SHARP_PX else CLEAR
+
+    @property
+    def is_all(self) -> bool:
+        """Beside air there is nothing but noise, which hides a limb's errors as well."""
+        return self.samples_effective >= WHITE * self.samples
 
     @property
     def is_within_blur(self) -> bool:
@@ -181,7 +191,7 @@ def find_air(
     if not used.any():
         nothing = LimbModel(0.0, 11, np.zeros(PARAMETERS), (0.0, 0.0, 0.0), np.zeros((0, 3)))
         return AirEvidence(
-            nothing, nothing, 1.0, 0.0, 0.0, 0.0, np.zeros(3), np.zeros(3), glows=False
+            nothing, nothing, 0, 1.0, 0.0, 0.0, 0.0, np.zeros(3), np.zeros(3), glows=False
         )
     limb = limb_of(light, planet, used, place)
     bare = best_limb(light, used, (), limb, starts())
@@ -200,6 +210,7 @@ def find_air(
     return AirEvidence(
         bare=bare,
         shell=best,
+        samples=3 * int(used.sum()),
         samples_effective=samples,
         delta_bic=air_evidence(bare, best, samples, floor),
         explained=1 - max(best.square_sum, floor, _TINY) / max(bare.square_sum, floor, _TINY),
