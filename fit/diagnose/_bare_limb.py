@@ -120,21 +120,28 @@ class AirEvidence:
     @property
     def is_open(self) -> bool:
         """Neither air nor none can be told."""
-        return LEAST_SHARE <= self.explained < self.needed and self.is_evident and not self.glows
+        worth = self.explained >= LEAST_SHARE or self.is_all
+        return self.is_evident and worth and not self.has_air
 
     @property
     def needed(self) -> float:
         """Share that air must explain to be told; of no limb's errors none."""
-        if not self.reach_px or (self.is_all and not self.is_thin):
+        if not self.reach_px or (self.is_all and self.is_resolved):
             return 0.0
         if self.is_within_blur and not self.is_at_limits:
             return CLEAR_BLURRED
-        return CLEAR_THIN if self.is_thin or self.shell.blur_px > SHARP_PX else CLEAR
+        return CLEAR if self.is_resolved else CLEAR_THIN
 
     @property
     def is_all(self) -> bool:
         """Beside air there is nothing but noise, which hides a limb's errors as well."""
         return self.samples_effective >= WHITE * self.samples
+
+    @property
+    def is_resolved(self) -> bool:
+        """Air and edge are told apart by their shapes."""
+        wide = self.shell.blur_px <= SHARP_PX and not self.is_within_blur
+        return wide and not self.is_thin
 
     @property
     def is_within_blur(self) -> bool:

@@ -272,13 +272,14 @@ def test_three_answers_of_a_few_planets() -> None:
 
 @pytest.mark.full
 def test_three_answers_of_many_planets() -> None:
-    """Of 500 without air at most one in a hundred is told air; of 300 with air at least 85 in a
-    hundred are, and no more than three in a hundred are told none: the rest cannot be told."""
+    """Of 500 without air at most one in a hundred is told air, of 300 with air at least 85 in a
+    hundred are, and of those that are not at least one in four is not told none either."""
     bare = [ask(airless(np.random.default_rng([1, k]))) for k in range(500)]
     assert sum(one.has_air for one in bare) <= 5
     full = [ask(with_air(np.random.default_rng([2, k]))) for k in range(300)]
     assert sum(one.has_air for one in full) >= 255
-    assert sum(not one.has_air and not one.is_open for one in full) <= 9
+    missed = [one for one in full if not one.has_air]
+    assert sum(one.is_open for one in missed) >= len(missed) / 4
 
 
 def test_thin_air_under_a_blur_cannot_be_told() -> None:
