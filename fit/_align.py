@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from model_jax import Camera, InputError, Layers, LayersLook, Scene, analytic_layers
+from model_jax import Camera, InputError, Layers, Scene, analytic_layers
 from model_jax._kinds import need
 
 from ._of_photo import Alignment
@@ -32,8 +32,7 @@ def align(photo: Photo | ArrayLike, scene: Scene) -> Scene:
     Shift and scale come from the photo's own limb, as far as it is lit: the camera's `forward` is
     turned and its `fov_y_deg` changed, to a tenth of a pixel or so. Roll is kept: a sphere's limb
     tells none. Where half a limb is lit, shift and scale are told together only; what is seen lies
-    right, the rest may not. Everything else of the scene stays, and with it how large air and
-    shadow are beside the planet.
+    right, the rest may not. Everything else of the scene stays.
 
     Args:
         photo: a loaded photo, or linear light [h, w, 3] as floats, of the scene's size.
@@ -89,7 +88,7 @@ def aligned(
 
 
 def _exact(scene: Scene) -> Layers:
-    return analytic_layers(scene, look=LayersLook())
+    return analytic_layers(scene)
 
 
 def aligned_camera(scene: Scene, found: Alignment) -> Camera:

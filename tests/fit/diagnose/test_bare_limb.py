@@ -166,7 +166,12 @@ def test_without_a_planet_the_rival_is_a_level(rng: np.random.Generator) -> None
 @pytest.mark.parametrize(
     ("height", "wrong"),
     [
-        (height, wrong)
+        # On its limb with each shell, and beside it with one.
+        pytest.param(
+            height,
+            wrong,
+            marks=() if height == 0.01 or wrong == (0, 0, 0) else pytest.mark.full,
+        )
         for height in (0.01, 0.02, 0.06)
         for wrong in ((0, 0, 0), (0, 0, -1), (0, 1, 0), (0, 1, -1), (-3, 0, -4), (0, 0, 4))
     ],
@@ -263,11 +268,11 @@ def ask(drawn: Drawn) -> AirEvidence:
 
 
 def test_three_answers_of_a_few_planets() -> None:
-    """No air of twelve without; of twelve with air, hardly any that is not found."""
-    bare = [ask(airless(np.random.default_rng([1, k]))) for k in range(12)]
+    """No air of six without; of six with air, at most one that is not found."""
+    bare = [ask(airless(np.random.default_rng([1, k]))) for k in range(6)]
     assert not any(one.has_air for one in bare)
-    full = [ask(with_air(np.random.default_rng([2, k]))) for k in range(12)]
-    assert sum(one.has_air for one in full) >= 10
+    full = [ask(with_air(np.random.default_rng([2, k]))) for k in range(6)]
+    assert sum(one.has_air for one in full) >= 5
 
 
 @pytest.mark.full
