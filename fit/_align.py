@@ -23,7 +23,7 @@ from .photo._photo import Photo
 MET_PX = 0.02
 """Distance of two limbs, px, at which they have met: a tenth of what their places are known to."""
 _ROUNDS = 6
-"""The first brings limbs within a few per cent of their distance, of wide views a quarter."""
+"""Each leaves a tenth of the distance or less, of wide views a quarter."""
 
 
 def align(photo: Photo | ArrayLike, scene: Scene) -> Scene:

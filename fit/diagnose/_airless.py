@@ -72,7 +72,7 @@ def ask_for_air(
     """Whether each photo shows air.
 
     Asked only where the look leaves more of the light unexplained than `NO_BARE_LIMB`: the question
-    costs up to seconds. A share that holds the planet's surface tells less, and so does the ring
+    costs seconds. A share that holds the planet's surface tells less, and so does the ring
     beside it: `WELL_EXPLAINED` is enough there. Edges tell a bare limb from air best and count
     here; where a look explains so much of them and of the rest, it does of all.
     """

@@ -49,7 +49,7 @@ _AGAIN = 3
 _LESS = 0.01
 """How often air is laid on the edge anew, and what it must gain for another time."""
 
-LEAST_SHARE = 0.15
+LEAST_SHARE = 0.1
 """Share of what a bare limb leaves that air must explain to be worth the question."""
 FRINGE_PX, COMMON = 0.3, 0.6
 """How far a lens lays channels beside each other, and the share of thin air's light, as a shift of
@@ -96,7 +96,12 @@ class AirEvidence:
 
     @property
     def has_air(self) -> bool:
-        return self.glows or (self.is_evident and self.explained >= self.needed)
+        return self.glows or self.is_told
+
+    @property
+    def is_told(self) -> bool:
+        """By more light where there is more air."""
+        return self.is_evident and self.explained >= self.needed
 
     @property
     def is_evident(self) -> bool:
@@ -115,7 +120,7 @@ class AirEvidence:
     @property
     def by_glow(self) -> bool:
         """Nothing but the ring's even light tells air."""
-        return self.glows and not (self.is_evident and self.explained >= self.needed)
+        return self.glows and not self.is_told
 
     @property
     def is_open(self) -> bool:
@@ -156,6 +161,7 @@ class AirEvidence:
 
     @property
     def reach_needed_px(self) -> float:
+        """How high the shell must be for that."""
         blur = self.shell.blur_px
         return blur * (WITHIN_BLURS if blur <= SHARP_PX else WITHIN_WIDE_BLURS)
 
@@ -196,7 +202,9 @@ def find_air(
     used = used & ~planet
     widths = [width for width in widths if np.any(width[used])]
     if not used.any():
-        nothing = LimbModel(0.0, 11, np.zeros(PARAMETERS), (0.0, 0.0, 0.0), np.zeros((0, 3)))
+        nothing = LimbModel(
+            0.0, PARAMETERS + 3, np.zeros(PARAMETERS), (0.0, 0.0, 0.0), np.zeros((0, 3))
+        )
         return AirEvidence(
             nothing, nothing, 0, 1.0, 0.0, 0.0, 0.0, np.zeros(3), np.zeros(3), glows=False
         )
@@ -226,16 +234,6 @@ def find_air(
         disc=np.percentile(limb.disc, 95, axis=0) if len(limb.disc) else np.zeros(3),
         glows=reach >= WITHIN_BLURS * bare.blur_px and glows(light, limb, bare.level, sky),
     )
-
-
-def bare_limb(
-    light: Light,
-    planet: Bool[np.ndarray, "h w"],
-    used: Bool[np.ndarray, "h w"],
-) -> LimbModel:
-    """The best explanation of the used pixels by a planet without air; arguments as `find_air`."""
-    used = used & ~planet
-    return best_limb(light, used, (), limb_of(light, planet, used), starts())
 
 
 @dataclass(frozen=True)

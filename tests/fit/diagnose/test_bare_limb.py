@@ -12,10 +12,11 @@ from scipy.ndimage import gaussian_filter
 
 from fit import fit, load_photo
 from fit.diagnose._alignment import limb_beside
-from fit.diagnose._bare_limb import EVIDENCE, AirEvidence, bare_limb, find_air
+from fit.diagnose._bare_limb import EVIDENCE, AirEvidence, find_air
 from fit.diagnose._edge import SHIFT
 from fit.diagnose._effective import effective_samples
-from fit.diagnose._limb import near_limb
+from fit.diagnose._limb import limb_of, near_limb
+from fit.diagnose._limb_fit import best_limb, starts
 from model_jax import Scene, Srgb, Sun, analytic_layers, layer_widths
 from render_gl import load_scene
 from tests.data import REPOSITORY
@@ -117,7 +118,8 @@ def test_finds_blur_and_place(rng: np.random.Generator) -> None:
     light = half_moon(100.2, 99.5, blur=1.0) + rng.normal(scale=1e-3, size=(200, 200, 3))
     layers = analytic_layers(disc_scene((200, 200), (99.5, 99.5, 60.0), 0.1))
     planet = np.asarray(layers.planet) != 0
-    model = bare_limb(light, planet, np.asarray(layers.has_air))
+    ring = np.asarray(layers.has_air) & ~planet
+    model = best_limb(light, ring, (), limb_of(light, planet, ring), starts())
     assert model.blur_px == pytest.approx(1.0, abs=0.15)
     # Only the lit half tells the place: its limb, on the right, is 0.7 px farther right.
     assert np.array([1, 1, 0, 1, 0]) @ model.edge[SHIFT] == pytest.approx(0.7, abs=0.05)
