@@ -1,11 +1,9 @@
 """The look `air`: air that may thin out with height, end lower than the shell, and dim itself.
 
-Its terms are named with it, `air+density+saturation`; each set of them is a class of its own, so
-that a term that is not there has no parameter, no field and no line in the shader.
+Its terms are named with it, `air+density+saturation` (`_terms`).
 """
 
-from collections.abc import Iterable
-from functools import cache
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -19,6 +17,7 @@ from .._phase import henyey_greenstein, rayleigh
 from .._shapes import Scalar, Three
 from .._sun_column import ON_GROUND, sun_column_at
 from .._sunlight import sunlight_met
+from ._terms import TermedLook, class_named, terms_of
 
 
 def _scale_height(shape: Shape) -> Any:
@@ -106,7 +105,7 @@ def _parameters(term: str) -> dict[str, tuple[Any, Any]]:
     return {"extinction": (Three, about)}
 
 
-class AirLook(Look):
+class AirLook(TermedLook):
     """Air as on a planet: `brightness · color · tint · (lit + shadow · dark)`, and its terms."""
 
     brightness: Scalar = parameter(
@@ -159,11 +158,45 @@ class AirLook(Look):
     CHOICES = ("density", "saturation", "top", "phase", "ground", "sun", "upwelling")
 
     @classmethod
-    def with_terms(cls, terms: Iterable[str]) -> type[Look]:
-        return _with_terms(tuple(name for name in cls.TERMS if name in _known(cls, terms)))
+    def parameters_of(cls, term: str) -> dict[str, tuple[Any, Any]]:
+        return _parameters(term)
+
+    @classmethod
+    def check_terms(cls, terms: Sequence[str]) -> None:
+        if {"density", "density-rgb"} <= set(terms):
+            raise InputError(f"look {cls.NAME}: density and density-rgb are one term; name one")
+        there = {"density" if name == "density-rgb" else name for name in terms}
+        for name in terms:
+            missing = [other for other in cls.TERM_NEEDS.get(name, ()) if other not in there]
+            if missing:
+                raise InputError(
+                    f"look {cls.NAME}: term {name} goes with {' and '.join(missing)}; add it"
+                )
+
+    @classmethod
+    def facts_of(cls, terms: Sequence[str]) -> dict[str, Any]:
+        places = any(term not in ("saturation", "phase", "ground") for term in terms)
+        needs = PLACES if places else AirLook.NEEDS
+        if "sun" in terms:
+            needs = (*needs, *OF_SUN, "shell")
+        elif "phase" in terms:
+            needs = (*needs, "sun_cos")
+        if "ground" in terms:
+            needs = (*needs, "planet")
+        # Of a depth τ on the sun's way exp(-τ) is off by τ times what the column is, some 40 ulp on
+        # both sides; at τ = 30 next to nothing is left to compare.
+        roundings = (1200.0, 28.0) if "sun" in terms else (80.0, 28.0) if places else (16.0, 8.0)
+        return {
+            "NEEDS": needs,
+            "GROUND": "ground" if "ground" in terms else "",
+            "LINEAR_IN": (),
+            "SEPARABLE": None,
+            "ROUNDINGS": roundings,
+            "fields": {"shadow": (Scalar | Three, _shadow("dark_end"))} if places else {},
+        }
 
     def air(self, fields: Fields) -> tuple[Any, Any]:
-        terms = type(self).NAME.split("+")[1:]
+        terms = terms_of(self)
         if "sun" in terms:
             whole, lit, dark, upward = self._sunlit(fields, terms)
         else:
@@ -245,62 +278,6 @@ class AirLook(Look):
         return (fields.begin, fields.end), dark
 
 
-def _known(kind: type[Look], terms: Iterable[str]) -> list[str]:
-    """The terms, if the look has them."""
-    found = list(terms)
-    for name in found:
-        if name not in kind.TERMS:
-            raise InputError(
-                f"look {kind.NAME}: has no term {name!r}; choose from {', '.join(kind.TERMS)}"
-            )
-    if {"density", "density-rgb"} <= set(found):
-        raise InputError(f"look {kind.NAME}: density and density-rgb are one term; name one")
-    there = {"density" if name == "density-rgb" else name for name in found}
-    for name in found:
-        missing = [other for other in kind.TERM_NEEDS.get(name, ()) if other not in there]
-        if missing:
-            raise InputError(
-                f"look {kind.NAME}: term {name} goes with {' and '.join(missing)}; add it"
-            )
-    return found
-
-
-@cache
-def _with_terms(terms: tuple[str, ...]) -> type[Look]:
-    """The class of a set of terms, in their order."""
-    if not terms:
-        return AirLook
-    fields = {name: part for term in terms for name, part in _parameters(term).items()}
-    places = any(term not in ("saturation", "phase", "ground") for term in terms)
-    needs = PLACES if places else AirLook.NEEDS
-    if "sun" in terms:
-        needs = (*needs, *OF_SUN, "shell")
-    elif "phase" in terms:
-        needs = (*needs, "sun_cos")
-    if "ground" in terms:
-        needs = (*needs, "planet")
-    if places:
-        fields["shadow"] = (Scalar | Three, _shadow("dark_end"))
-    facts: dict[str, Any] = {
-        "__module__": __name__,
-        "__doc__": AirLook.__doc__,
-        "__annotations__": {name: annotation for name, (annotation, _) in fields.items()},
-        "NAME": "+".join((AirLook.NAME, *terms)),
-        "NEEDS": needs,
-        "GROUND": "ground" if "ground" in terms else "",
-        "LINEAR_IN": (),
-        "SEPARABLE": None,
-        # Of a depth τ on the sun's way exp(-τ) is off by τ times what the column is, some 40 ulp on
-        # both sides; at τ = 30 next to nothing is left to compare.
-        "ROUNDINGS": (1200.0, 28.0) if "sun" in terms else (80.0, 28.0) if places else (16.0, 8.0),
-    }
-    name = "_".join((AirLook.__name__, *terms)).replace("-", "_")
-    return type(name, (AirLook,), facts | {name: field for name, (_, field) in fields.items()})
-
-
 def __getattr__(name: str) -> type[Look]:
     """The class of a set of terms by its name, as unpickling asks for it."""
-    first, *terms = name.split("_")
-    if first == AirLook.__name__ and terms:
-        return AirLook.with_terms(" ".join(terms).replace("density rgb", "density-rgb").split())
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return class_named(AirLook, name)
