@@ -1,4 +1,5 @@
-"""Makes the planet of `paper.toml`: a height map and an albedo map of a world that does not exist.
+"""Makes the planet of `paper.toml` and `rim.toml`: maps of height, albedo and water of a world that
+does not exist.
 
 The heights are a Gaussian random field on the sphere, a sum of plane waves with random directions
 and amplitudes falling as k^-0.8, which has no seam and no poles. 45 % is sea; the land's
@@ -60,7 +61,8 @@ def albedo(relief: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Write `planet_relief.png` (16 bit) and `planet_albedo.jpg` beside this file."""
+    """Write `planet_relief.png` (16 bit), `planet_albedo.jpg` and `planet_water.png` beside this
+    file."""
     folder = Path(__file__).parent
     relief = heights()
     Image.fromarray(np.round(relief * 65535).astype(np.uint16)).save(
@@ -70,6 +72,9 @@ def main() -> None:
     stored = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     Image.fromarray(np.round(stored * 255).astype(np.uint8)).save(
         folder / "planet_albedo.jpg", quality=88
+    )
+    Image.fromarray(np.where(relief > 0, 0, 255).astype(np.uint8)).save(
+        folder / "planet_water.png", optimize=True
     )
 
 

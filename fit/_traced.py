@@ -20,6 +20,7 @@ import optimistix as optx
 from jaxtyping import Float, Int
 
 from model_jax import FIELDS, InputError, Layers, Look, Response
+from model_jax._composite import need_surface
 from model_jax._fields import fields_of
 from model_jax._shapes import AnyArray, is_traced
 
@@ -135,6 +136,7 @@ def fit_traced(
 def _samples(photo: AnyArray, layers: Layers, index: np.ndarray, layout: Layout) -> Samples:
     """All pixels as one tile; the weight says which samples count."""
     dtype = photo.dtype
+    need_surface(layers, layout.kind)
     fields = fields_of(layers, layout.kind.NEEDS)
     light = jnp.asarray(photo).reshape(-1, 3)[index]
     good = jnp.isfinite(light).all(axis=-1)

@@ -49,7 +49,8 @@ def analytic_layers(
         Eye depths relative to the planet's centre, [h, w] each, clamped to [near, far]; shadow
         layers only when the scene has a sun, [n, h, w] with occluders: the planet's, then theirs;
         `surface` only when the planet's albedo is a colour: Lambert's light, albedo × the cosine of
-        the sun's angle to the normal, without a sun the albedo itself.
+        the sun's angle to the normal; without a sun, and for a look that lights the ground itself,
+        the albedo.
         Rays follow DESIGN "ray–sphere, ray–cone".
 
     Raises:
@@ -69,9 +70,9 @@ def analytic_layers(
     shaded = look is None or uses_shadow(look.NEEDS)
     seen = view if shaded else replace(view, cones=())
     front, back, planet, *shadow = trace_view(seen, camera.height, camera.width)
-    surface = None
+    surface, unlit = None, look is not None and look.LIGHTS_GROUND
     if isinstance(albedo, tuple):
-        light = partial(_light, np.asarray(albedo, dtype))
+        light = partial(_light, np.asarray(albedo, dtype), unlit)
         (surface,) = _of_all_pixels(light, view, camera.height, camera.width)
     scale = namespace(front).asarray(radius, front.dtype)
     return Layers(
@@ -80,6 +81,7 @@ def analytic_layers(
         shadow_front=jnp.asarray(shadow[0] * scale) if shadow else None,
         shadow_back=jnp.asarray(shadow[1] * scale) if shadow else None,
         surface=None if surface is None else jnp.moveaxis(jnp.asarray(surface), 0, -1),
+        is_albedo=surface is not None and unlit,
         planet=jnp.asarray(planet),
         color=scene.atmosphere.color,
         reference=eye_center(scene)[2],
@@ -176,11 +178,12 @@ def trace(view: View, column: AnyArray, row: AnyArray) -> tuple[AnyArray, ...]:
     return front, back, planet, jnp.stack(starts), jnp.stack(ends)
 
 
-@jax.jit
+@partial(jax.jit, static_argnums=1)
 def _light(
-    albedo: Float[AnyArray, "3"], view: View, column: AnyArray, row: AnyArray
+    albedo: Float[AnyArray, "3"], unlit: bool, view: View, column: AnyArray, row: AnyArray
 ) -> tuple[AnyArray]:
-    """Light of a planet of one colour, [3, ...] of any pixels; 0 where none is seen.
+    """Light of a planet of one colour, or the colour itself, [3, ...] of any pixels; 0 where none
+    is seen.
 
     What `planet.frag` makes of a texture, the sun's direction being the shadow's axis.
     """
@@ -200,6 +203,8 @@ def _light(
         return p[0] * axis[0] + p[1] * axis[1] + p[2] * axis[2]
 
     cosine = jnp.ones_like(length)
+    if unlit:
+        return (jnp.stack([part * jnp.where(seen, cosine, 0) for part in albedo]),)
     if view.cones:
         cosine = jnp.maximum(along(view.cones[0].axes[2], jnp.zeros(3, length.dtype)), 0)
     for cone in view.cones[1:]:

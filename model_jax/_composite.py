@@ -143,6 +143,18 @@ def composite(layers: Layers, look: Look) -> Rgba:
     return jnp.concatenate([rgb, alpha], axis=-1)
 
 
+def need_surface(layers: Layers, kind: type[Look]) -> None:
+    """Raise `InputError` for a surface that the sun has lit where the look does so itself, and for
+    one that nobody lights."""
+    if layers.surface is None or layers.is_albedo == kind.LIGHTS_GROUND:
+        return
+    is_, wants = ("albedo", "light") if layers.is_albedo else ("light", "albedo")
+    raise InputError(
+        f"layers: their surface is the ground's {is_}, and the look {kind.NAME} asks for its "
+        f"{wants}; make them for the look: render(scene, look=look)"
+    )
+
+
 def ground_of(look: Look, surface: AnyArray | None, axis: int = -1) -> AnyArray | None:
     """The look's factor on the surface, whose channels are an axis; None where there is none."""
     if surface is None or not look.GROUND:
@@ -156,6 +168,7 @@ def _air(layers: Layers, look: Look) -> tuple[Air, AnyArray]:
     """What the look makes of layers, nothing where there is no air; and the picture's alpha."""
     need("look", look, Look)
     need("layers", layers, Layers)
+    need_surface(layers, type(look))
     air = air_light(look, fields_of(layers, type(look).NEEDS), jnp.asarray(layers.color)[:3])
     dtype, here = air.light.dtype, layers.has_air[..., None]
     alpha = jnp.asarray(layers.color, dtype)[3] if air.alpha is None else air.alpha

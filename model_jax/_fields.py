@@ -56,6 +56,12 @@ FIELDS: dict[str, Field] = {
         "1",
         unseen="no pixel used is in front of the planet",
     ),
+    "water": Field(
+        "how much of the ground that ends the ray mirrors, 0 to 1",
+        "1",
+        absent="the layers hold no water: planet.water names no mask",
+        unseen="no pixel used shows water",
+    ),
     "begin": Field(
         "where the air begins on the ray, from its point nearest to the planet", "length"
     ),
@@ -78,6 +84,12 @@ FIELDS: dict[str, Field] = {
     "per_length": Field("width of a unit of length along the ray", "width_unit/length"),
     "sunward": Field("how far towards the sun that point lies from the planet's centre", "length"),
     "sun_cos": Field("cosine of the angle between the ray and the direction to the sun", "1"),
+    "begin_sun_cos": Field(
+        "cosine of the angle between the vertical where the air begins and the direction to the "
+        "sun",
+        "1",
+    ),
+    "end_sun_cos": Field("the same where the air ends", "1"),
     "shell": Field("height at which the air ends", "length"),
 }
 """Every field a look may ask for. All are `[..., 1]`; the air's `color`, `[..., 3]`, is always
@@ -92,7 +104,10 @@ PLACES = ("begin", "end", "dark_begin", "dark_end", "altitude", "impact", "per_l
 OF_SUN = ("sunward", "sun_cos")
 """Those that tell where the sun is."""
 
-OF_VIEW = (*PLACES, *OF_SUN, "shell")
+UNDER_SUN = {"begin_sun_cos": "begin", "end_sun_cos": "end"}
+"""Those that tell how high the sun stands, and where on the ray."""
+
+OF_VIEW = (*PLACES, *OF_SUN, *UNDER_SUN, "shell")
 """Those for which one has to know how rays pass the planet."""
 
 
@@ -150,6 +165,8 @@ def fields_of(
                 "planet); give layers with a planet, or another look"
             )
         found["planet"] = jnp.asarray(layers.planet, jnp.asarray(layers.front).dtype)
+    if "water" in needs and layers.water is not None:
+        found["water"] = jnp.asarray(layers.water, jnp.asarray(layers.front).dtype)
     if any(name in OF_VIEW for name in needs):
         found |= _places(layers, needs, at)
     return {name: found[name] for name in needs if name in found}
@@ -198,18 +215,22 @@ def _places(
         "per_length": here(1 / unit),
         "shell": here((view.shell - 1) * view.radius),
     }
-    if any(name in OF_SUN for name in needs):
+    if any(name in (*OF_SUN, *UNDER_SUN) for name in needs):
         if not view.cones:
+            asked = next(name for name in needs if name in (*OF_SUN, *UNDER_SUN))
             raise InputError(
                 "layers: do not tell where the sun is, which the look asks for (its field "
-                f"{next(name for name in needs if name in OF_SUN)}); give the scene a sun, or use "
-                "another look"
+                f"{asked}); give the scene a sun, or use another look"
             )
         right, up, ahead = view.cones[0].axes[2]
         towards = x * right + y * up + ahead
         nearest_point = (mx * x + my * y) / dd
         sunward = mx * right + my * up - nearest_point * towards
         found |= {"sunward": here(sunward * view.radius), "sun_cos": here(towards / slant)}
+        for name, place in UNDER_SUN.items():
+            distance = jnp.sqrt(found["impact"] ** 2 + found[place] ** 2)
+            upward = found["sunward"] + found[place] * found["sun_cos"]
+            found[name] = upward / jnp.where(distance > 0, distance, 1)
     begin, until = layers.shadow_front, layers.shadow_back
     if ("dark_begin" in needs or "dark_end" in needs) and begin is not None and until is not None:
         if np.ndim(begin) > front.ndim:

@@ -21,7 +21,16 @@ from ._safe import is_host
 from ._shapes import AnyArray, Depth, Four, Mask, Rgb, Scalar, Shadows, converter
 from ._view import View
 
-_MAPS = ("front", "back", "shadow_front", "shadow_back", "planet", "stretch", "width_error")
+_MAPS = (
+    "front",
+    "back",
+    "shadow_front",
+    "shadow_back",
+    "planet",
+    "water",
+    "stretch",
+    "width_error",
+)
 """Fields of `Layers` that end in rows and columns."""
 
 
@@ -62,6 +71,11 @@ class Layers(eqx.Module):
     view: View | None = None
     """How the pixels' rays pass planet, shell and shadows, which tells how high their air is, and
     what lies between pixels; `None` when nobody knows."""
+    water: Float[AnyArray, "h w"] | None = None
+    """How much of the ground mirrors, 0 to 1; `None`: nothing is known to."""
+    is_albedo: bool = eqx.field(static=True, default=False)
+    """The surface is the ground's albedo, which no sun has lit yet: for looks that light it
+    themselves (`Look.LIGHTS_GROUND`)."""
 
     def __check_init__(self) -> None:
         if np.shape(self.color) != (4,):
@@ -69,7 +83,7 @@ class Layers(eqx.Module):
                 f"layers.color: {shown(self.color)} must be four numbers [red, green, blue, alpha]"
             )
         _need_depths("layers", self)
-        for name in ("surface", "planet", "stretch", "width_error"):
+        for name in ("surface", "planet", "water", "stretch", "width_error"):
             if (part := getattr(self, name)) is not None:
                 need_array(f"layers.{name}", part, "[h, w, 3]" if name == "surface" else "[h, w]")
         for name in ("reference", "width_unit"):

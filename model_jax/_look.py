@@ -135,6 +135,9 @@ class Look(eqx.Module):
     GROUND: ClassVar[str] = ""
     """Parameter, a colour ≥ 0, that light of what lies behind the air is multiplied by before the
     air dims it; not the shader's business. Empty: nothing is."""
+    LIGHTS_GROUND: ClassVar[bool] = False
+    """It lights the ground itself, by its transmittance: what lies behind the air is the ground's
+    albedo then, not Lambert's light on it."""
     TERMS: ClassVar[dict[str, str]] = {}
     """What may be added to it (`with_terms`), by name, and what that does."""
     TERM_NEEDS: ClassVar[dict[str, tuple[str, ...]]] = {}
@@ -251,6 +254,7 @@ _TAKEN = {
     # What a look has itself.
     *("background", "air", "NAME", "PARAMETERS", "NEEDS", "LINEAR_IN", "ROUNDINGS", "BLEND"),
     *("SEPARABLE", "AMPLITUDE", "GROUND", "GLSL", "TERMS", "TERM_NEEDS", "TERM_OFF", "CHOICES"),
+    "LIGHTS_GROUND",
     "with_terms",
     # Keys of scene files and exports.
     *("kind", "look", "verdict", "warnings", "color", "width_unit"),

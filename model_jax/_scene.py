@@ -171,6 +171,9 @@ class Planet(eqx.Module):
     )
     """Surface colour: one for all, linear light in [0, 1], or an equirectangular sRGB picture; none
     = drawn black, and what the planet looks like is not known."""
+    water: str | None = eqx.field(static=True, converter=_path("planet.water"), default=None)
+    """How much of the ground mirrors, equirectangular, 1 = water: a grey picture, or the alpha
+    channel of one that has it, which may be the albedo's own."""
     triangles: int = eqx.field(static=True, default=196_000)
     """At least this many triangles (the paper's number)."""
 

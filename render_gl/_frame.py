@@ -24,8 +24,12 @@ class Frame:
     """What it read of each shadow that was drawn: front and back."""
     surface: Float[np.ndarray, "h w 3"] | None
     """Light of the planet; None where it has no albedo."""
+    is_albedo: bool
+    """It is the ground's albedo, which the look lights."""
     planet: Float[np.ndarray, "h w"]
     """1 where the planet was drawn."""
+    water: Float[np.ndarray, "h w"] | None = None
+    """How much of the ground mirrors; None where nobody asks, or the scene does not know."""
     transmittance: Float[np.ndarray, "h w 3"] | None = None
     """How much of what lies behind passes the air; None where the look says nothing of it."""
 

@@ -2,10 +2,11 @@
 
     front.Z  back.Z  shadow_front.Z  shadow_back.Z   eye depth relative to the header's reference
     shadow2_front.Z  shadow2_back.Z  …               further shadows
-    surface.R/G/B   planet.A   stretch.Y   width_error.Y   R G B A   optional, as layers have them
+    surface.R/G/B  planet.A  water.Y  stretch.Y  width_error.Y  R G B A  optional
 
 Header: airlight.reference, airlight.width_unit, airlight.color, airlight.view (JSON: how the
-pixels' rays pass planet and shadows, `model_jax.Layers.view`), airlight.near, airlight.far,
+pixels' rays pass planet and shadows, `model_jax.Layers.view`), airlight.surface ("albedo" where it
+is not lit), airlight.near, airlight.far,
 airlight.depth ("eye", "window", "reversed" or "log"), airlight.scene (JSON) and
 airlight.scene_hash.
 
@@ -54,6 +55,8 @@ def write_layers(
         }
     if layers.planet is not None:
         channels["planet.A"] = np.asarray(layers.planet)
+    if layers.water is not None:
+        channels["water.Y"] = np.asarray(layers.water)
     if layers.stretch is not None:
         channels["stretch.Y"] = np.asarray(layers.stretch)
     if layers.width_error is not None:
@@ -68,6 +71,8 @@ def write_layers(
         "airlight.color": tuple(float(c) for c in np.asarray(layers.color)[:3]),
         "airlight.alpha": float(np.asarray(layers.color)[3]),
     }
+    if layers.is_albedo:
+        attributes["airlight.surface"] = "albedo"
     if layers.view is not None:
         attributes["airlight.view"] = json.dumps(_plain(layers.view))
     if scene is not None:
@@ -150,7 +155,9 @@ def read_layers(
     return replace(
         linear,
         surface=surface,
+        is_albedo=surface is not None and header.get("airlight.surface") == "albedo",
         planet=channels.get("planet.A"),
+        water=channels.get("water.Y"),
         color=_color(path, header),
         width_unit=linear.width_unit if coding != "linear" else unit,
         stretch=channels.get("stretch.Y"),

@@ -1,4 +1,4 @@
-"""Equirectangular maps on disk: the planet's albedo and its relief, as float arrays.
+"""Equirectangular maps on disk: the planet's albedo, relief and water, as float arrays.
 
 Both have row 0 at the north pole and column 0 at -180 degrees of longitude. A file is read by what
 it contains, not by its name, and as it is stored: an EXIF orientation does not turn it.
@@ -6,7 +6,7 @@ it contains, not by its name, and as it is stored: an EXIF orientation does not 
 
 import os
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -102,6 +102,26 @@ def load_relief(path: str) -> Float[np.ndarray, "h w"]:
     return np.maximum(heights[..., 0], 0)
 
 
+@cache
+def load_water(path: str) -> Float[np.ndarray, "h w"]:
+    """How much of the ground mirrors, float16 in [0, 1]: the alpha channel of a PNG that has one,
+    else a grey picture's codes over the highest, of PNG, JPEG and TIFF.
+
+    Raises `InputError` as `load_relief`, for float numbers, and for colour without alpha.
+    """
+    samples, top = _read(path, alpha=True)
+    if top is None:
+        raise InputError(
+            f"{path}: holds {samples.dtype} numbers; save the mask of water as a grey PNG"
+        )
+    if (samples != samples[..., :1]).any():
+        raise InputError(
+            f"{path}: is a colour picture without alpha; save the mask of water as grey, or in the "
+            "alpha channel of a PNG"
+        )
+    return (samples[..., 0] / np.float32(top)).astype(np.float16)
+
+
 def _first_of_largest(values: Shaped[np.ndarray, "..."]) -> tuple[int, ...]:
     """Index of the largest value, or of the first that is true."""
     return tuple(map(int, np.unravel_index(np.argmax(values), values.shape)))
@@ -116,12 +136,13 @@ class _Stored(NamedTuple):
     """The highest code of a picture; None where samples are numbers."""
 
 
-def _read(path: str) -> _Stored:
+def _read(path: str, *, alpha: bool = False) -> _Stored:
+    """What a file holds; `alpha`: of a PNG that has an alpha channel, that alone."""
     file = check_file(path)
     with open(file, "rb") as stream:
         start = stream.read(8)
     readers: tuple[tuple[bytes | tuple[bytes, ...], Callable[[Path], _Stored]], ...] = (
-        (PNG, _read_png),
+        (PNG, partial(_read_png, alpha=alpha)),
         (JPEG, _read_jpeg),
         (TIFF, _read_tiff),
         (EXR, _read_exr),
@@ -136,7 +157,7 @@ def _read(path: str) -> _Stored:
         return reader(file)
 
 
-def _read_png(path: Path) -> _Stored:
+def _read_png(path: Path, *, alpha: bool) -> _Stored:
     import imagecodecs  # Pillow keeps 8 of the 16 bits of colour PNGs
 
     data = path.read_bytes()
@@ -144,8 +165,10 @@ def _read_png(path: Path) -> _Stored:
     check_size(path, (width, height), MAX_PIXELS)
     samples = np.asarray(imagecodecs.png_decode(data))  # palettes looked up, 1 to 4 bits made 8
     samples = samples.reshape(height, width, -1)
-    colours = 3 if samples.shape[-1] >= 3 else 1  # the rest is alpha
-    return _Stored(samples[..., :colours], int(np.iinfo(samples.dtype).max))
+    channels = samples.shape[-1]
+    colours = 3 if channels >= 3 else 1  # the rest is alpha
+    kept = slice(colours, None) if alpha and channels > colours else slice(colours)
+    return _Stored(samples[..., kept], int(np.iinfo(samples.dtype).max))
 
 
 def _read_jpeg(path: Path) -> _Stored:
@@ -214,10 +237,11 @@ def _read_npy(path: Path) -> _Stored:
     return _Stored(heights[..., None], None)
 
 
-def upload_maps(context: "moderngl.Context", scene: Scene) -> dict[str, Any]:
-    """Textures of relief and albedo, by the names of their samplers; a colour needs none."""
-    import moderngl
-
+def upload_maps(
+    context: "moderngl.Context", scene: Scene, *, water: bool = False
+) -> dict[str, Any]:
+    """Textures of relief and albedo, and of water if asked for, by the names of their samplers; a
+    colour needs none."""
     maps = {}
     if scene.planet.relief is not None:
         heights = relief_heights(scene.planet)
@@ -227,12 +251,21 @@ def upload_maps(context: "moderngl.Context", scene: Scene) -> dict[str, Any]:
         relief.repeat_y = False
         maps["relief"] = relief
     if isinstance(scene.planet.albedo, str):
-        colors = load_albedo(scene.planet.albedo)
-        rows, columns, _ = colors.shape
-        check_texture_size(context, scene.planet.albedo, columns, rows)
-        albedo = context.texture((columns, rows), 3, colors.tobytes(), dtype="f2", alignment=1)
-        albedo.build_mipmaps()
-        albedo.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
-        albedo.repeat_y = False
-        maps["albedo"] = albedo
+        maps["albedo"] = _smooth(context, scene.planet.albedo, load_albedo(scene.planet.albedo))
+    if water and scene.planet.water is not None:
+        mask = load_water(scene.planet.water)[..., None]
+        maps["water"] = _smooth(context, scene.planet.water, mask)
     return maps
+
+
+def _smooth(context: "moderngl.Context", path: str, pixels: Float[np.ndarray, "h w c"]) -> Any:
+    """A texture of half floats that is averaged where it is seen small."""
+    import moderngl
+
+    rows, columns, channels = pixels.shape
+    check_texture_size(context, path, columns, rows)
+    texture = context.texture((columns, rows), channels, pixels.tobytes(), dtype="f2", alignment=1)
+    texture.build_mipmaps()
+    texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    texture.repeat_y = False
+    return texture

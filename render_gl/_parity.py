@@ -23,7 +23,9 @@ relative) and e = the driver's worst error of a division in ulp:
               itself; the distance by its root's share, the height likewise and by 10 ulp of itself,
               of which an exponential's 2 |x| ulp and its quotient take most. The sun's direction is
               off by half an ulp, what is along it of the nearest point by m's and that point's
-              errors and 6 ulp of either, the cosine with the ray by 8 ulp of 1.
+              errors and 6 ulp of either, the cosine with the ray by 8 ulp of 1. A vertical's cosine
+              with that direction is off by all of these of its point, over the distance from the
+              centre, and 6 ulp of 1.
     look      what the look says of its own arithmetic (`ROUNDINGS`).
 
 The specification allows e = 2.5 against JAX's ½, together 3. Drivers differ (llvmpipe has divided
@@ -44,7 +46,7 @@ from jaxtyping import Float
 
 from model_jax import DriverError, Layers, Look, Scene, combine, depth_constants, linearize_depth
 from model_jax._composite import air_light
-from model_jax._fields import OF_VIEW, WIDTHS, fields_of
+from model_jax._fields import OF_VIEW, UNDER_SUN, WIDTHS, fields_of
 from model_jax._intersect import squared_miss_distance
 from model_jax._shapes import AnyArray
 from model_jax._view import pixel_grid, pixel_slopes, ray_offsets
@@ -260,6 +262,12 @@ def _place_errors(
     of_point = of_m + 6 * m + (of_m * d + 16 * m * d) / slant
     found["sunward"] = EPS * radius * of_point
     found["sun_cos"] = np.full(slant.shape, 8 * EPS)
+    for name, place in UNDER_SUN.items():
+        # What moves a point by so much turns its vertical by so much of its distance, which no air
+        # has below the ground's.
+        off = division_ulp * np.spacing(np.abs(np.asarray(depths[place])))
+        moved = found["sunward"] + found["impact"] + slant * (off + nearest)
+        found[name] = moved / radius + (16 * float(view.shell) + 6) * EPS
     found["shell"] = np.full(slant.shape, 2 * EPS * radius * float(view.shell - 1))
     return found
 

@@ -25,36 +25,27 @@ from jaxtyping import Float
 
 from model_jax import InputError, Look, Scene, shadows_in_view, view_of
 from model_jax._fields import uses_shadow
-from model_jax._view import Aim, ShadowCone
+from model_jax._view import ShadowCone
 
+from ._canvas import COVER_TRIANGLES, Canvas
 from ._choices import Source
 from ._depth_format import Storage
-from ._frame import Frame, assign_uniforms
+from ._frame import Frame
 from ._looks import look_text, look_uniforms
 from ._maps import upload_maps
-from ._mesh import Mesh, shadow_mesh, sphere_mesh
+from ._mesh import shadow_mesh, sphere_mesh
 from ._shaders import look_program, program
-from ._uniforms import aim_uniforms, cone_uniforms, defines_of, plane_codes, uniforms_of
+from ._uniforms import aim_uniforms, cone_uniforms, defines_of
 
 if TYPE_CHECKING:
     import moderngl
-
-DEPTH_CLAMP = 0x864F
-"""GL_DEPTH_CLAMP: what lies nearer than the near plane gets its depth instead of a hole (the
-paper's extended pixel shader, its Fig. 11)."""
 
 BAND = 2**20
 """Pixels drawn at once. Their textures are 80 bytes a pixel: rows of large pictures go in bands, so
 that beside the images themselves there is never more of them than of a small picture."""
 
-COVER_TRIANGLES = 5120
-"""Triangles of the mesh that bounds a sphere's pixels: it is 0.12 % wider than the sphere."""
 
-COVER_PIXELS = 1 / 16
-"""More that it is wider: OpenGL snaps vertices to 1/16 pixel at worst (4 sub-pixel bits)."""
-
-
-class Passes:
+class Passes(Canvas):
     """The textures and the state of one drawing, and its passes in order."""
 
     def __init__(
@@ -65,12 +56,6 @@ class Passes:
         storage: Storage,
         source: Source,
     ) -> None:
-        self.context: Any = context  # its stub mistypes blend_equation
-        self.scene, self.storage = scene, storage
-        self.size = (scene.camera.width, 0)
-        """Width and rows of a band."""
-        self.bottom = 0
-        """Rows of the picture below it."""
         self.exact = source == "raster"
         self.view = view_of(scene)
         self.look = type(look)
@@ -78,17 +63,14 @@ class Passes:
         cones = zip(self.view.cones, shadows_in_view(scene), strict=True) if shaded else ()
         self.cones = [cone for cone, seen in cones if seen]
         """Shadows with air in view, if the look asks for them."""
-        self.uniforms = uniforms_of(scene, storage.encoding)
+        defines = defines_of(scene, self.look, storage, len(self.cones))
+        super().__init__(context, scene, storage, defines)
         self.look_uniforms = look_uniforms(look)
         """For the combine shader alone: a look may name its own as those of other passes."""
-        self.near, self.empty = plane_codes(scene, storage.encoding)
-        self.defines = defines_of(scene, self.look, storage, len(self.cones))
         self.fine = scene.planet.relief is not None or not self.exact
         """Whether the ground's mesh is its shape."""
         mesh = sphere_mesh(scene.planet.triangles if self.fine else COVER_TRIANGLES)
         self.sphere, self.inner_radius = self._upload(mesh), mesh.inner_radius
-        cover = sphere_mesh(COVER_TRIANGLES)
-        self.cover, self.cover_radius = self._upload(cover), cover.inner_radius
         self.shell = float(self.view.shell)
         self.position = np.asarray(scene.camera.position) / float(scene.planet.radius)
 
@@ -98,9 +80,9 @@ class Passes:
         return "TRANSMITS" in self.defines
 
     @property
-    def colored(self) -> bool:
-        """Whether depths go to colour attachments instead of the depth buffer."""
-        return self.storage.texture is not None
+    def has_water(self) -> bool:
+        """Whether pass 3 writes how much of the ground mirrors too."""
+        return "WATER" in self.defines
 
     def run(self) -> Frame:
         """All passes, band by band, and what they left."""
@@ -114,15 +96,16 @@ class Passes:
         surface = np.empty((*size, 3), np.float32) if lit else None
         planet = np.empty(size, np.float32)
         passed = np.empty((*size, 3), np.float32) if self.transmits else None
-        maps = upload_maps(self.context, self.scene)
+        water = np.empty(size, np.float32) if self.has_water else None
+        maps = upload_maps(self.context, self.scene, water=self.has_water)
         for self.bottom in range(0, height, rows):
             self.size = (width, min(rows, height - self.bottom))
             band = slice(height - self.bottom - self.size[1], height - self.bottom)
             atlas = self.shadow() if self.cones else None
-            ground, behind = self.planet(maps)
+            ground, behind, *wet = self.planet(maps)
             self.shell_back(behind)
             air[band], front[band], back[band], *dimmed = map(
-                _read, self.combine(behind, atlas, ground)
+                _read, self.combine(behind, atlas, [ground, *wet])
             )
             if passed is not None:
                 passed[band] = dimmed[0][..., :3]
@@ -134,12 +117,15 @@ class Passes:
             if surface is not None:
                 surface[band] = drawn[..., :3]
             planet[band] = drawn[..., 3]
+            if water is not None:
+                water[band] = _read(wet[0])
             self.context.gc()
         if not self.exact:
             # What the combine shader does with a back that has no front (see there).
             nearer = np.maximum if self.storage.encoding == "reversed" else np.minimum
             shadows[:, 0] = nearer(shadows[:, 0], shadows[:, 1])
-        return Frame(air, front, back, shadows, surface, planet, passed)
+        unlit = lit and "UNLIT" in self.defines
+        return Frame(air, front, back, shadows, surface, unlit, planet, water, passed)
 
     def _band_rows(self) -> int:
         """Rows of a band: even, for derivatives are taken in squares of pixels."""
@@ -187,15 +173,17 @@ class Passes:
         self._state("front" if end else "back", test=not self.colored)
         self._volume(self._upload(mesh), "depth.frag")
 
-    def planet(self, maps: dict[str, Any]) -> tuple[Any, Any]:
-        """Pass 3: surface colour, and the depth texture that pass 4 goes on with."""
+    def planet(self, maps: dict[str, Any]) -> list[Any]:
+        """Pass 3: surface colour, the depth texture that pass 4 goes on with, and perhaps water."""
         surface = self.context.texture(self.size, 4, dtype="f4")
+        wet = [self.context.texture(self.size, 1, dtype="f4")] if self.has_water else []
         depth = self._depth_texture(self.size[1])
         if self.colored:
-            target = self._target([surface, depth], self.context.depth_renderbuffer(self.size))
-            self.context.framebuffer([surface], target.depth_attachment).clear(depth=1.0)
+            buffer = self.context.depth_renderbuffer(self.size)
+            target = self._target([surface, depth, *wet], buffer)
+            self.context.framebuffer([surface, *wet], buffer).clear(depth=1.0)
         else:
-            target = self._target([surface], depth)
+            target = self._target([surface, *wet], depth)
             target.clear(depth=1.0)
         target.use()
         self._state("back", test=True)
@@ -222,7 +210,7 @@ class Passes:
                 )
             else:
                 self._volume(self.sphere, "body.frag", size, center)
-        return surface, depth
+        return [surface, depth, *wet]
 
     def shell_back(self, depth: Any) -> None:
         """Pass 4: the nearer of the planet and the far side of the shell."""
@@ -240,8 +228,11 @@ class Passes:
             self._volume(self.sphere, "depth.frag", self.shell)
         self.context.blend_equation = moderngl.FUNC_ADD
 
-    def combine(self, behind: Any, atlas: Any | None, ground: Any) -> list[Any]:
-        """Pass 5: the combine shader over the shell, or the screen for a camera inside its mesh."""
+    def combine(self, behind: Any, atlas: Any | None, ground: list[Any]) -> list[Any]:
+        """Pass 5: the combine shader over the shell, or the screen for a camera inside its mesh.
+
+        ground: pass 3's colour, and perhaps water.
+        """
         air = self.context.texture(self.size, 4, dtype="f4")
         depths = [self.context.texture(self.size, 1, dtype="f4") for _ in range(2)]
         self.context.framebuffer([air]).clear()
@@ -254,8 +245,10 @@ class Passes:
         units |= {"band_rows": self.size[1], "first_row": self.bottom}
         self._bind(behind, 0)
         if "planet" in self.look.NEEDS:
-            ground.use(2)
-        units |= {"ground_pass": 2, "shadow_depths": 1}
+            ground[0].use(2)
+        if self.has_water:
+            ground[1].use(3)
+        units |= {"ground_pass": 2, "shadow_depths": 1, "water_pass": 3}
         if atlas is not None:
             self._bind(atlas, 1)
         self._state("back", test=False)
@@ -270,127 +263,10 @@ class Passes:
             self._volume(self.sphere, "combine.frag", self.shell, **units)
         return [air, *depths, *more]
 
-    def _seen(self, atlas: Any) -> Float[np.ndarray, "rows w"]:
-        """What a shader reads in a depth texture, from below."""
-        if self.storage.texture == "f4":
-            return np.frombuffer(atlas.read(), np.float32).reshape(atlas.size[::-1])
-        copied = self.context.texture(atlas.size, 1, dtype="f4")
-        self.context.framebuffer([copied]).use()
-        self._state("back", test=False)
-        self._bind(atlas, 0)
-        self._screen("copy.frag", depths=0)
-        return np.frombuffer(copied.read(), np.float32).reshape(atlas.size[::-1])
-
-    def _depth_texture(self, rows: int) -> Any:
-        """A texture for depths, cleared."""
-        size = (self.size[0], rows)
-        if self.colored:
-            texture = self.context.texture(size, 1, dtype=self.storage.texture)
-        else:
-            texture = self.context.depth_texture(size)
-        self._clear(self._depth_only(texture), self.empty)
-        return texture
-
-    def _clear(self, target: Any, depth: float) -> None:
-        """All of a framebuffer of depths only, or its scissor."""
-        box = target.scissor
-        if self.colored:
-            target.clear(depth, depth, depth, depth, viewport=box)
-        else:
-            target.clear(depth=depth, viewport=box)
-
-    def _depth_only(self, texture: Any) -> Any:
-        """A framebuffer without colour: one that a program leaves unwritten would be undefined."""
-        return self._target([texture]) if self.colored else self._target((), texture)
-
-    def _target(self, colors: Any, depth: Any = None) -> Any:
-        """A framebuffer whose rows are the picture's at this band."""
-        target = self.context.framebuffer(colors, depth)
-        target.viewport = (0, -self.bottom, self.size[0], self.scene.camera.height)
-        return target
-
-    def _state(self, culled: str, test: bool) -> None:
-        import moderngl
-
-        self.context.enable_only(moderngl.CULL_FACE | (moderngl.DEPTH_TEST if test else 0))
-        self.context.enable_direct(DEPTH_CLAMP)
-        self.context.cull_face = culled
-        self.context.depth_func = "<="
-
-    def _bind(self, texture: Any, unit: int) -> None:
-        import moderngl
-
-        if not self.colored:
-            texture.compare_func = ""  # depth textures compare by default; we want the values
-        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        texture.use(unit)
-
-    def _upload(self, mesh: Mesh) -> tuple[Any, Any]:
-        return (
-            self.context.buffer(mesh.vertices.astype(np.float32).tobytes()),
-            self.context.buffer(mesh.triangles.tobytes()),
-        )
-
-    def _volume(
-        self,
-        geometry: tuple[Any, Any],
-        fragment: str,
-        size: float = 1.0,
-        origin: tuple[float, ...] = (0.0, 0.0, 0.0),
-        **more: Any,
-    ) -> None:
-        shader = self._program("volume.vert", fragment, self.defines)
-        self._render(geometry, shader, size=size, origin=origin, **more)
-
-    def _bounded(
-        self,
-        fragment: str,
-        aim: Aim,
-        radius: float,
-        *,
-        defines: dict[str, int] | None = None,
-        test: bool | None = None,
-        blended: bool = False,
-        **more: Any,
-    ) -> None:
-        """Run a shader where rays may meet a sphere: on the far side of a mesh around it.
-
-        A camera in or near the mesh gets a larger one, for all of its rays must meet the far side.
-        """
-        if not blended:
-            self._state("front", test=not self.colored if test is None else test)
-        distance = float(np.linalg.norm(aim.center))
-        size = (radius + COVER_PIXELS * self._footprint(distance + radius)) / self.cover_radius
-        if distance < 1.1 * size:
-            size = 1.2 * distance / self.cover_radius + size
-        defines = self.defines | (defines or {}) | {"EXACT": 1}
-        shader = self._program("volume.vert", fragment, defines)
-        found = aim_uniforms(self.scene.camera, aim, radius) | {"first_row": self.bottom}
-        found |= {"origin": (0.0, 0.0, 0.0), "size": size}
-        self._render(self.cover, shader, **(found | more))
-
-    def _footprint(self, distance: float) -> float:
-        """What a pixel covers at a distance, planet radii; no ray is longer than the diagonal's."""
-        camera = self.scene.camera
-        pixel = float(camera.pixel_size())
-        slope = pixel * np.hypot(camera.width, camera.height) / 2
-        return float(pixel * distance * (1 + slope**2))
-
-    def _screen(self, fragment: str, **more: Any) -> None:
-        shader = self._program("screen.vert", fragment, self.defines)
-        assign_uniforms(shader, self.uniforms | more)
-        self.context.vertex_array(shader, []).render(vertices=3)
-
     def _program(self, vertex: str, fragment: str, defines: dict[str, int]) -> Any:
         if fragment != "combine.frag":
             return program(vertex, fragment, defines)
         return look_program(vertex, fragment, defines, self.look.NAME, look_text(self.look))
-
-    def _render(self, geometry: tuple[Any, Any], shader: Any, **more: Any) -> None:
-        assign_uniforms(shader, self.uniforms | more)
-        vertices, triangles = geometry
-        content = [(vertices, "3f", "position")]
-        self.context.vertex_array(shader, content, triangles).render()
 
 
 def _read(texture: Any) -> Float[np.ndarray, "h w *c"]:

@@ -41,9 +41,10 @@ def render(
         look: what the layers are for: shadows are drawn only if it needs them; None: in any case.
 
     Returns:
-        float32 layers [h, w] with the planet's mask, and `surface` when the planet has an albedo;
-        no shadow layers when no air in view is in shadow; `width_error` where a mesh is in them,
-        that is of ground with relief and of "mesh".
+        float32 layers [h, w] with the planet's mask, and `surface` when the planet has an albedo:
+        its light or, for a look that lights the ground itself, the albedo; `water` when the planet
+        has a mask of it and the look asks; no shadow layers when no air in view is in shadow;
+        `width_error` where a mesh is in them, that is of ground with relief and of "mesh".
 
     Raises:
         DriverError: no usable OpenGL. InputError: what cannot be drawn, by name.
@@ -110,7 +111,9 @@ def frame_layers(scene: Scene, frame: Frame, depth_format: DepthFormat) -> Layer
     return replace(
         textures.linearize(),
         surface=frame.surface,
+        is_albedo=frame.is_albedo,
         planet=frame.planet,
+        water=frame.water,
         color=scene.atmosphere.color,
         view=view_of(scene),
         stretch=ray_stretch(scene).astype(np.float32)

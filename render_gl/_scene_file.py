@@ -1,7 +1,8 @@
 """Scene files: TOML in, `Scene`, `Look` and photo settings out.
 
     [camera]      position, forward or target, up, fov_y_deg, width, height, near, far
-    [planet]      radius; relief, relief_unit, relief_scale, relief_distance, albedo, triangles
+    [planet]      radius; relief, relief_unit, relief_scale, relief_distance, albedo, water,
+                  triangles
     [atmosphere]  height; color
     [sun]         direction; angular_radius_deg            (absent: no shadow volume)
     [[occluder]]  center, radius
@@ -79,6 +80,7 @@ _TABLES: dict[str, dict[str, tuple[str, ...]]] = {
         "relief_scale": (_NUMBER, _PAIR),
         "relief_distance": (_PAIR,),
         "albedo": (_TEXT, _VECTOR),
+        "water": (_TEXT,),
         "triangles": (_WHOLE,),
     },
     "atmosphere": {
@@ -258,7 +260,7 @@ def _camera(table: dict[str, Any]) -> Camera:
 
 
 def _planet(table: dict[str, Any], beside: Callable[[str, str], str | None]) -> Planet:
-    files = [name for name in ("relief", "albedo") if isinstance(table.get(name), str)]
+    files = [name for name in ("relief", "albedo", "water") if isinstance(table.get(name), str)]
     table = dict(table) | {name: beside("planet", name) for name in files}
     if "relief_scale" in table:
         scale = table["relief_scale"]

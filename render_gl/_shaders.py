@@ -35,7 +35,10 @@ DEFINES = frozenset(
         "STRETCH",
         "SUN",
         "TEXTURE",
+        "TOWARD_SUN",
         "TRANSMITS",
+        "UNLIT",
+        "WATER",
     }
 )
 """Every switch a shader may ask for."""
@@ -65,6 +68,8 @@ def shader_source(name: str, defines: Mapping[str, int] = NONE, look: str = "") 
     text, look = text.replace('#include "look"', _LOOK), f"{look}\n"
     if "#include" in text:
         raise ValueError(f"{name}: an include inside an include, or a malformed one")
+    if "defined(" in text:
+        raise ValueError(f"{name}: asks by defined(…), which is not read; nest #ifdef and #ifndef")
     asked = set(re.findall(r"#ifn?def (\w+)", text))
     if asked - DEFINES:
         raise ValueError(f"{name}: asks for {sorted(asked - DEFINES)}, which nothing defines")

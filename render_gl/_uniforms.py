@@ -119,8 +119,16 @@ def defines_of(scene: Scene, kind: type[Look], storage: Storage, shadows: int) -
         "ALBEDO": scene.planet.albedo is not None,
         "TEXTURE": isinstance(scene.planet.albedo, str),
         "RELIEF": scene.planet.relief is not None,
+        "UNLIT": kind.LIGHTS_GROUND,
+        # Where pass 3 writes it: after light, and depths if these are colours.
+        "WATER": has_water(scene, kind) and (2 if storage.texture is not None else 1),
     }
     return {name: int(value) for name, value in wanted.items() if value} | look_defines(kind)
+
+
+def has_water(scene: Scene, kind: type[Look]) -> bool:
+    """Whether what mirrors of the ground is drawn: the scene knows it, and the look asks for it."""
+    return scene.planet.water is not None and "water" in kind.NEEDS
 
 
 def _overlap(scene: Scene) -> bool:

@@ -18,7 +18,7 @@ import pytest
 import render_gl
 from fit import fit, load_photo
 from fit.cli._job import Job, run_job
-from model_jax import Layers, LayersLook, analytic_layers, combine, find_look
+from model_jax import Layers, LayersLook, Look, analytic_layers, combine, find_look
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
@@ -51,32 +51,38 @@ def test_gradient_example_descends() -> None:
     assert losses[1] < 0.01 * losses[0]
 
 
-def test_paper_scene_passes_the_check() -> None:
-    file = render_gl.load_scene(EXAMPLES / "paper.toml")
-    assert (file.scene.camera.width, file.scene.camera.height) == (1280, 1024)
+@pytest.mark.parametrize(("name", "size"), [("paper", (1280, 1024)), ("rim", (640, 512))])
+def test_scenes_of_documents_pass_the_check(name: str, size: tuple[int, int]) -> None:
+    file = render_gl.load_scene(EXAMPLES / f"{name}.toml")
+    assert (file.scene.camera.width, file.scene.camera.height) == size
     found = render_gl.check_scene(file.scene, file.look)
     assert found.passed, found.summary()
 
 
 @pytest.mark.parametrize(
     "name",
-    ["paper", *(pytest.param(n, marks=pytest.mark.full) for n in ("reference", "epic", "iss"))],
+    [
+        "paper",
+        "rim",
+        *(pytest.param(n, marks=pytest.mark.full) for n in ("reference", "epic", "iss")),
+    ],
 )
 def test_no_gradient_is_nan_on_any_example(name: str) -> None:
-    scene = render_gl.load_scene(EXAMPLES / f"{name}.toml").scene
+    file = render_gl.load_scene(EXAMPLES / f"{name}.toml")
+    scene, kind = file.scene, type(file.look)
     camera = scene.camera
     scene = scene.resized(camera.width // 4, camera.height // 4)
     layers = analytic_layers(scene)
 
-    def loss(layers: Layers, look: LayersLook) -> jax.Array:
+    def loss(layers: Layers, look: Look) -> jax.Array:
         return jnp.sum(combine(layers, look) ** 2)
 
     floats = eqx.filter(layers, lambda leaf: isinstance(leaf, jax.Array))
     rest = eqx.filter(layers, lambda leaf: not isinstance(leaf, jax.Array))
     by_layers = jax.jit(jax.grad(lambda a, look: loss(eqx.combine(a, rest), look), (0, 1)))
-    gradients = by_layers(floats, LayersLook())
+    gradients = by_layers(floats, kind())
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradients))
-    light = jax.grad(lambda s: jnp.sum(combine(analytic_layers(s), LayersLook())))
+    light = jax.grad(lambda s: jnp.sum(combine(analytic_layers(s), kind())))
     by_scene = eqx.filter_jit(light)(scene)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(by_scene))
     assert any(np.any(leaf) for leaf in jax.tree.leaves(by_scene))

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, UInt
 
 from model_jax import InputError, Layers, LayersLook, Look
-from model_jax._composite import dims
+from model_jax._composite import dims, need_surface
 
 from ._photo import Photo
 from ._stencil import Inside, Stencil, along_limb, light_inside, stencil_of
@@ -146,6 +146,7 @@ def take_columns(
     ones of the stored depths. A sample at a photo's highest code is known to be at
     least the light half a code below it, one at code 0 at most the light half a code above.
     """
+    need_surface(layers, kind)
     index = np.flatnonzero(used).astype(np.int32)  # `load_photo` reads fewer than 2^28
     if inside is not None:
         index = index[along_limb(layers, index)]

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from model_jax import Layers
+from model_jax import InputError, Layers
 from model_jax._analytic import trace
 from model_jax._fields import OF_RAYS, OF_VIEW, fields_of, uses_shadow
 from model_jax._shapes import AnyArray
@@ -43,7 +43,8 @@ def fields_at(
     width = np.shape(layers.front)[1]
     shadows = [s for s in (layers.shadow_front, layers.shadow_back) if s is not None]
     shadows = shadows if uses_shadow(needs) else []
-    maps = {"planet": layers.planet if "planet" in needs else None, "stretch": layers.stretch}
+    maps = {"stretch": layers.stretch}
+    maps |= {name: getattr(layers, name) for name in ("planet", "water") if name in needs}
     with float64():
         for start in range(0, max(index.size, 1), _CHUNK):  # of no pixels their names are told
             end = min(start + _CHUNK, index.size)
@@ -76,6 +77,11 @@ def fields_between(
     Exact, whatever drew the layers, whose view must be known.
     """
     assert layers.view is not None
+    if "water" in needs and layers.water is not None:
+        raise InputError(
+            "response.blur: light between pixels is not known of water, which the look mirrors the "
+            "sun by; leave out the blur, or that term"
+        )
     view, (column, row) = layers.view, places
     shaded = layers.has_shadow and uses_shadow(needs)
     planet = view.planet if ground else 0.0

@@ -165,6 +165,8 @@ def _places() -> dict[str, Float[np.ndarray, " n"]]:
         "per_length": np.full(len(low), 1e-3),
         "sunward": np.cos(9 * low + 5 * high) * impact,
         "sun_cos": np.sin(9 * low + 5 * high) * np.cos(7 * low),
+        "begin_sun_cos": np.sin(11 * low + 3 * high),
+        "end_sun_cos": np.cos(7 * low + 8 * high),
         "shell": np.full(len(low), top - radius),
     }
     return {name: part.astype(np.float32) for name, part in found.items()}

@@ -16,10 +16,11 @@ from .._look import Look
 from ._air import AirLook
 from ._check import check_look
 from ._layers import LayersLook
+from ._rim import RimLook
 
 GROUP = "airlight.looks"
 
-BUILT_IN: dict[str, type[Look]] = {kind.NAME: kind for kind in (LayersLook, AirLook)}
+BUILT_IN: dict[str, type[Look]] = {kind.NAME: kind for kind in (LayersLook, AirLook, RimLook)}
 
 AUTO: tuple[type[Look], type[Look]] = (LayersLook, AirLook)
 """What a fit chooses of where nobody names a look: the plain one, and that whose terms may be added

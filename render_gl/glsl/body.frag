@@ -1,6 +1,6 @@
 #version 330
 // Pass 3, occluders: black, with coverage 1 in alpha. EXACT: the pixel's ray is asked, and the mesh
-// only bounds the pixels. COLOR_DEPTH adds the depth.
+// only bounds the pixels. COLOR_DEPTH adds the depth, WATER says where to write that nothing mirrors.
 
 #ifdef EXACT
 #include "rays.glsl"
@@ -13,6 +13,9 @@ in float mesh_depth;
 layout(location = 0) out vec4 surface;
 #ifdef COLOR_DEPTH
 layout(location = 1) out float depth;
+#endif
+#ifdef WATER
+layout(location = WATER) out float mirrors;
 #endif
 
 void main() {
@@ -28,6 +31,9 @@ void main() {
     float met = mesh_depth;
 #endif
     surface = vec4(0.0, 0.0, 0.0, 1.0);
+#ifdef WATER
+    mirrors = 0.0;
+#endif
 #ifdef COLOR_DEPTH
     depth = coded_depth(met);
 #ifdef SORTED

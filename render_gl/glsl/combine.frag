@@ -2,7 +2,7 @@
 // Pass 5: reads the depths of its pixel, hands on its own and the one behind, and asks the look for
 // the light of what lies between them. EXACT: its own is where the pixel's ray enters the shell; else
 // the mesh's. FIELD_...: what the look asks for, PLACES: heights and
-// lengths among it; TRANSMITS: it has a transmittance.
+// lengths among it, TOWARD_SUN: where the sun is; TRANSMITS: it has a transmittance.
 
 #include "rays.glsl"
 #include "fields.glsl"
@@ -25,6 +25,9 @@ struct Fields {
 #endif
 #ifdef FIELD_PLANET
     float planet;
+#endif
+#ifdef FIELD_WATER
+    float water;
 #endif
 #ifdef FIELD_BEGIN
     float begin;
@@ -53,6 +56,12 @@ struct Fields {
 #ifdef FIELD_SUN_COS
     float sun_cos;
 #endif
+#ifdef FIELD_BEGIN_SUN_COS
+    float begin_sun_cos;
+#endif
+#ifdef FIELD_END_SUN_COS
+    float end_sun_cos;
+#endif
 #ifdef FIELD_SHELL
     float shell;
 #endif
@@ -63,7 +72,7 @@ struct Fields {
 #include "look"
 
 uniform vec4 color;                   // the air's: linear rgb, and alpha
-#if defined(FIELD_SUNWARD) || defined(FIELD_SUN_COS)
+#ifdef TOWARD_SUN
 uniform vec3 sun_in_view;             // unit vector toward the sun, eye axes
 #endif
 #ifdef FIELD_SHELL
@@ -71,6 +80,12 @@ uniform float shell_height;           // scene length units
 #endif
 #ifdef FIELD_PLANET
 uniform sampler2D ground_pass;            // pass 3: coverage in alpha
+#endif
+
+#ifdef FIELD_WATER
+#ifdef WATER
+uniform sampler2D water_pass;             // pass 3: how much of the ground mirrors
+#endif
 #endif
 
 uniform sampler2D planet_atmosphere;  // PlAtDepth of the paper
@@ -132,6 +147,12 @@ void main() {
 #ifdef FIELD_PLANET
     fields.planet = texelFetch(ground_pass, pixel, 0).a;
 #endif
+#ifdef FIELD_WATER
+    fields.water = 0.0;
+#ifdef WATER
+    fields.water = texelFetch(water_pass, pixel, 0).r;
+#endif
+#endif
 #ifdef PLACES
     vec2 d = ray_direction(), m = ray_offset();
     float dd = 1.0 + dot(d, d), turn = m.x * d.y - m.y * d.x;
@@ -173,11 +194,22 @@ void main() {
     fields.per_length = 1.0 / (width_unit * slant);
 #endif
 #endif
-#if defined(FIELD_SUNWARD) || defined(FIELD_SUN_COS)
+#ifdef TOWARD_SUN
     float towards = dot(vec3(d, 1.0), sun_in_view);
+    float sunward = (dot(m, sun_in_view.xy) - dot(m, d) / dd * towards) * length_unit;
 #endif
 #ifdef FIELD_SUNWARD
-    fields.sunward = (dot(m, sun_in_view.xy) - dot(m, d) / dd * towards) * length_unit;
+    fields.sunward = sunward;
+#endif
+#ifdef FIELD_BEGIN_SUN_COS
+    float begin = (eye_depth(front) - nearest) * slant;
+    fields.begin_sun_cos = (sunward + begin * (towards / slant)) /
+        length(vec2(impact * length_unit, begin));
+#endif
+#ifdef FIELD_END_SUN_COS
+    float end = (eye_depth(back) - nearest) * slant;
+    fields.end_sun_cos = (sunward + end * (towards / slant)) /
+        length(vec2(impact * length_unit, end));
 #endif
 #ifdef FIELD_SUN_COS
     fields.sun_cos = towards / slant;

@@ -1,8 +1,9 @@
 #version 330
 // Pass 3: Lambert-lit albedo, and coverage 1 in alpha. EXACT: the pixel's ray meets the ground, of
 // which the mesh only bounds the pixels. COLOR_DEPTH adds the depth; ALBEDO, RELIEF and SUN say what
-// the scene has, TEXTURE that the albedo is no one colour, OCCLUDERS how many. Without a sun the
-// albedo is shown as it is.
+// the scene has, TEXTURE that the albedo is no one colour, OCCLUDERS how many. Without a sun, or
+// for a look that lights the ground itself (UNLIT), the albedo is shown as it is. WATER: the location at
+// which how much of the ground mirrors is written.
 
 #include "sphere_map.glsl"
 #ifdef EXACT
@@ -18,18 +19,26 @@ layout(location = 0) out vec4 surface;
 #ifdef COLOR_DEPTH
 layout(location = 1) out float depth;
 #endif
+#ifdef WATER
+layout(location = WATER) out float mirrors;
+uniform sampler2D water;
+#endif
+
+vec4 of_map(sampler2D map, vec3 at) {
+    vec2 uv = map_position(at);
+    // Across the date line u jumps by one; without the correction the whole map would be averaged.
+    vec2 dx = dFdx(uv), dy = dFdy(uv);
+    dx.x -= round(dx.x);
+    dy.x -= round(dy.x);
+    return textureGrad(map, uv, dx, dy);
+}
 
 #ifdef ALBEDO
 #ifdef TEXTURE
 uniform sampler2D albedo;
 
 vec3 surface_albedo(vec3 at) {
-    vec2 uv = map_position(at);
-    // Across the date line u jumps by one; without the correction the whole map would be averaged.
-    vec2 dx = dFdx(uv), dy = dFdy(uv);
-    dx.x -= round(dx.x);
-    dy.x -= round(dy.x);
-    return textureGrad(albedo, uv, dx, dy).rgb;
+    return of_map(albedo, at).rgb;
 }
 #else
 uniform vec3 planet_color;
@@ -97,13 +106,18 @@ void main() {
 #ifdef ALBEDO
     light = surface_albedo(at);
 #ifdef SUN
+#ifndef UNLIT
     light *= max(dot(surface_normal(at), sun), 0.0);
 #ifdef OCCLUDERS
     if (eclipsed(at)) light = vec3(0.0);
 #endif
 #endif
 #endif
+#endif
     surface = vec4(light, 1.0);
+#ifdef WATER
+    mirrors = of_map(water, at).r;
+#endif
 #ifdef EXACT
     // Only now: the texture's derivatives need the pixels beside the limb.
     if (!hit || !is_ahead(d)) discard;

@@ -37,6 +37,7 @@ EXEMPT = {
     "map_position": "texture look-up of the surface, which JAX takes as a layer",
     "ground_radius": "relief, which JAX takes as a layer",
     "surface_albedo": "texture look-up of the surface",
+    "of_map": "likewise",
     "surface_normal": "shading of the surface",
     "eclipsed": "shading of the surface",
 }
@@ -116,6 +117,8 @@ def test_defines_follow_the_version_line() -> None:
     known = sorted(
         {"CONE", "EXACT", "LINEAR", "REVERSED", "SHADOWS", "SORTED", "STRETCH", "TRANSMITS"}
     )
-    known = sorted({*known, "PLACES", *(f"FIELD_{name.upper()}" for name in FIELDS)})
+    known = sorted(
+        {*known, "PLACES", "TOWARD_SUN", "WATER", *(f"FIELD_{name.upper()}" for name in FIELDS)}
+    )
     assert lines[1 : len(known) + 1] == [f"#define {name} 2" for name in known]
     assert "#include" not in text
