@@ -13,20 +13,29 @@ It fills the shell evenly or thins out from the edge on.
 A bare limb is not exact: a sun that is low cuts it off, its light may change within the blur. What
 air explains beside that has to be more than such errors are, or air cannot be told from them.
 
-NumPy and SciPy; knows nothing of looks and solvers.
+NumPy; knows nothing of looks and solvers.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-from scipy.special import erfcx
+from jaxtyping import Bool, Float
 
-from ._edge import BLUR, BLUR_PX, HALO, MAX_HALO, PARAMETERS, SHIFT
+from ._edge import BLUR, BLUR_PX, HALO, MAX_HALO, PARAMETERS, SHARP_PX
 from ._effective import effective_samples
-from ._limb import Light, Limb, Place, glows, limb_of, near_limb
-from ._limb_fit import LimbModel, best_limb, energy_of, residual_of, starts
+from ._limb import Light, Place, glows, limb_of, near_limb, outline_of
+from ._limb_fit import (
+    Air,
+    Beside,
+    LimbModel,
+    air_of,
+    best_limb,
+    light_beside,
+    no_air,
+    residual_of,
+)
+from ._thin_air import Shell, shell_of
 
 _TINY = float(np.finfo(np.float64).tiny)
 
@@ -62,8 +71,6 @@ WHITE = 0.9
 """Share of samples that are independent from which what is left over is white noise."""
 THIN_PX = 1.0
 """Scale height up to which air looks like the edge itself."""
-SHARP_PX = 1.3
-"""Blur up to which a limb is resolved."""
 EVEN = 4.0
 """How many scale heights high a shell of one density is that looks as air that thins out."""
 WITHIN_BLURS, WITHIN_WIDE_BLURS = 4.0, 9.0
@@ -208,19 +215,23 @@ def find_air(
         return AirEvidence(
             nothing, nothing, 0, 1.0, 0.0, 0.0, 0.0, np.zeros(3), np.zeros(3), glows=False
         )
-    limb = limb_of(light, planet, used, place)
-    bare = best_limb(light, used, (), limb, starts())
-    ring = near_limb(planet, used, place, _SEEN * max(h for h in HEIGHTS_PX if h is not None))
+    outline = outline_of(planet)
+    beside = light_beside(light, used, limb_of(light, planet, used, place, outline))
+    limb, bare = beside.limb, best_limb(beside, no_air(beside), anew=True)
+    within = _SEEN * max(h for h in HEIGHTS_PX if h is not None)
+    ring = near_limb(planet, used, place, within, outline)
     best, columns = bare, list(widths)
     if widths:
-        search = _AirSearch(light, used, limb, widths, ring, bare)
+        shell = shell_of(light, widths, ring, beside)
+        search = _AirSearch(beside, air_of(light, used, widths, beside), shell, bare)
         rough = min((search.rough(height) for height in HEIGHTS_PX), key=lambda m: m.square_sum)
         laid = search.settled(rough)
-        best, columns = laid.model, search.columns(laid.model.height_px, laid.edge)
+        best = laid.model
+        if best.height_px is not None:
+            columns = shell.framed(shell.thinned(best.height_px, laid.edge), used.shape)
     samples = effective_samples(residual_of(light, used.shape[1], columns, limb, best), used, True)
-    floor = float(np.finfo(np.float32).eps) ** 2 * energy_of(light, used)
-    shell = sum(np.asarray(width).reshape(-1)[ring[0]] for width in widths) if widths else ring[1]
-    filled = ring[1][shell > 0]
+    floor = float(np.finfo(np.float32).eps) ** 2 * beside.energy
+    filled = ring[1][sum(np.ravel(width)[ring[0]] for width in widths) > 0] if widths else ring[1]
     reach = max(float(filled.max()), _LEAST_REACH) if len(filled) and limb.disc.any() else 0.0
     return AirEvidence(
         bare=bare,
@@ -240,22 +251,20 @@ def find_air(
 class _AirSearch:
     """Bare limbs with air on them."""
 
-    light: Light
-    used: Bool[np.ndarray, "h w"]
-    limb: Limb
-    widths: Sequence[Float[np.ndarray, "h w"]]
-    ring: tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 5"]]
+    beside: Beside
+    even: Air
+    """Of one density."""
+    shell: Shell
     bare: LimbModel
 
     def rough(self, height: float | None) -> "_Laid":
         """About the best of one scale height, laid first where the photo's edge is, then where the
         bare limb's is: that one has swallowed thin air, or the first was air's own."""
-        grid = [self.bare.edge, *starts()]
         if height is None:
-            return self._lay(None, self.bare.edge, grid, rough=True)
+            return self._lay(None, self.bare.edge, [self.bare.edge], rough=True, anew=True)
         found = []
         for edge in (np.zeros(PARAMETERS), self.bare.edge):
-            laid = self._lay(height, edge, grid, rough=True)
+            laid = self._lay(height, edge, [self.bare.edge], rough=True, anew=True)
             for _ in range(_AGAIN):
                 again = self._lay(height, laid.model.edge, [laid.model.edge], rough=True)
                 if not again.square_sum < (1 - _LESS) * laid.square_sum:
@@ -277,19 +286,13 @@ class _AirSearch:
         edge: Float[np.ndarray, "8"],
         begin: Sequence[Float[np.ndarray, "8"]],
         rough: bool = False,
+        anew: bool = False,
     ) -> "_Laid":
         """The best model with air on an edge."""
-        columns = self.columns(height, edge)
-        model = best_limb(self.light, self.used, columns, self.limb, begin, height, rough)
-        return _Laid(model, edge)
-
-    def columns(
-        self, height: float | None, edge: Float[np.ndarray, "8"]
-    ) -> list[Float[np.ndarray, "h w"]]:
-        """Light of air on an edge, lit and shadowed, as large as the photo."""
-        if height is None:
-            return list(self.widths)
-        return _thinned(self.widths, self.ring, height, edge)
+        shell, air = self.shell, self.even
+        if height is not None:
+            air = shell.air(height, edge, self.beside)
+        return _Laid(best_limb(self.beside, air, begin, height, rough, anew), edge)
 
 
 @dataclass(frozen=True)
@@ -314,35 +317,6 @@ def _amplitude(
         whole = float((parts.sum(axis=0) ** 2).sum())
         found = np.sqrt(((parts.T @ model.widths) ** 2).sum(axis=0) / max(whole, _TINY))
     return np.asarray(found)
-
-
-def _thinned(
-    widths: Sequence[Float[np.ndarray, "h w"]],
-    ring: tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 5"]],
-    height: float,
-    edge: Float[np.ndarray, "8"],
-) -> list[Float[np.ndarray, "h w"]]:
-    """Light of air that thins out from an edge on, blurred as that is, lit as widths are.
-
-    The exponential exp(-x / H) beyond an edge, convolved with a Gaussian, is
-    ½ exp(-x² / 2σ²) erfcx((σ / H - x / σ) / √2).
-    """
-    index, distance, turn = ring
-    # A blur wider than that of a resolved limb may be air's, taken for blur.
-    away, blur = distance - turn @ edge[SHIFT], min(np.exp(edge[BLUR]), SHARP_PX)
-    slant = (blur / height - away / blur) / np.sqrt(2)
-    # Far outside, erfcx of a negative number is 2 exp(slant²), and the product an exponential.
-    near = 0.5 * np.exp(-0.5 * (away / blur) ** 2) * erfcx(np.maximum(slant, -5.0))
-    far = np.exp(0.5 * (blur / height) ** 2 - np.maximum(away, 0.0) / height)
-    light = np.where(slant > -5.0, near, far)
-    total = sum(np.asarray(width).reshape(-1)[index].astype(np.float64) for width in widths)
-    found = []
-    for width in widths:
-        share = np.asarray(width).reshape(-1)[index] / np.where(total > 0, total, 1.0)
-        column = np.zeros(np.shape(width), np.float32)
-        column.reshape(-1)[index] = share * light
-        found.append(column)
-    return found
 
 
 def air_evidence(bare: LimbModel, shell: LimbModel, samples: float, floor: float = 0.0) -> float:

@@ -7,10 +7,11 @@ NumPy and SciPy.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ._edge import BLUR, PARAMETERS, disc_light, disc_slopes, within
 from ._effective import Part
@@ -59,40 +60,162 @@ def starts() -> list[Float[np.ndarray, "8"]]:
 
 
 @dataclass(frozen=True)
-class _Sums:
-    """What least squares need of all used pixels, about their means."""
+class Beside:
+    """Light beside a limb, and what least squares need of that of all used pixels."""
 
     count: int
     mean: Float[np.ndarray, "3"]
-    width_mean: Float[np.ndarray, " c"]
     square: Float[np.ndarray, "3"]
-    width_light: Float[np.ndarray, "c 3"]
+    """About the mean."""
+    limb: Limb
+    light: Float[np.ndarray, "n 3"]
+    """Of the limb's pixels, less the mean."""
+    every: int = 1
+    """Of so many pixels by the limb one stands for all."""
+    share: float = 1.0
+    """Pixels that each of these stands for."""
+
+    @property
+    def energy(self) -> float:
+        """Square sum of the used pixels' light."""
+        return float((self.square + self.count * self.mean**2).sum())
+
+    @cached_property
+    def rough(self) -> "Beside":
+        return self._of_few(_SEARCHED[0])
+
+    @cached_property
+    def fine(self) -> "Beside":
+        return self._of_few(_SEARCHED[1])
+
+    @cached_property
+    def first_discs(self) -> list[Float[np.ndarray, "n 3"]]:
+        """The disc's light by each of the `starts`."""
+        return [disc_light(self.limb, p) for p in starts()]
+
+    def _of_few(self, most: int) -> "Beside":
+        """The same with evenly chosen pixels of the limb in place of all."""
+        every = -(-len(self.light) // most)
+        if every <= 1:
+            return self
+        few = (np.asfortranarray(values[::every]) for values in vars(self.limb).values())
+        light = np.asfortranarray(self.light[::every])
+        share = len(self.light) / len(light)
+        # Means and products with the chosen in place of all; a mixture of both would be no sum of
+        # squares.
+        mean = (share * light.sum(axis=0) - self.light.sum(axis=0)) / self.count
+        square = share * (light**2).sum(axis=0) - (self.light**2).sum(axis=0)
+        square += self.square - self.count * mean**2
+        return Beside(self.count, self.mean + mean, square, Limb(*few), light - mean, every, share)
+
+
+def light_beside(light: Light, used: Bool[np.ndarray, "h w"], limb: Limb) -> Beside:
+    """What fits of a limb need of the used pixels' light, added up once."""
+    count = max(int(used.sum()), 1)
+    mean = sum(
+        (light[r][used[r]].sum(axis=0, dtype=np.float64) for r in _strips(used)), np.zeros(3)
+    )
+    mean /= count
+    square = np.zeros(3)
+    for rows in _strips(used):
+        square += ((light[rows][used[rows]].astype(np.float64) - mean) ** 2).sum(axis=0)
+    at_limb = light[np.divmod(limb.index, used.shape[1])].astype(np.float64) - mean
+    return Beside(count, mean, square, limb, np.asfortranarray(at_limb))
+
+
+@dataclass(frozen=True)
+class Air:
+    """Columns of air, and what least squares need of them in all used pixels."""
+
+    mean: Float[np.ndarray, " c"]
+    light: Float[np.ndarray, "c 3"]
+    """Products with the light, both about their means."""
     gram: Float[np.ndarray, "c c"]
+    """Products with each other, likewise."""
+    at_limb: Float[np.ndarray, "n c"]
+    """The limb's pixels, less the means."""
+
+    def of_few(self, whole: Beside, few: Beside) -> "Air":
+        """The same with the few pixels of the limb in place of all."""
+        if few is whole:
+            return self
+        at_limb, shift = np.asfortranarray(self.at_limb[:: few.every]), few.mean - whole.mean
+        mean = (few.share * at_limb.sum(axis=0) - self.at_limb.sum(axis=0)) / whole.count
+        products = few.share * at_limb.T @ (few.light + shift) - self.at_limb.T @ whole.light
+        gram = few.share * at_limb.T @ at_limb - self.at_limb.T @ self.at_limb
+        return Air(
+            self.mean + mean,
+            self.light + products - whole.count * np.outer(mean, shift),
+            self.gram + gram - whole.count * np.outer(mean, mean),
+            at_limb - mean,
+        )
+
+
+def no_air(beside: Beside) -> Air:
+    return Air(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros((len(beside.light), 0)))
+
+
+def air_of(
+    light: Light,
+    used: Bool[np.ndarray, "h w"],
+    widths: Sequence[Float[np.ndarray, "h w"]],
+    beside: Beside,
+) -> Air:
+    """Air of columns as large as the photo."""
+    mean = np.array([np.sum(width, where=used, dtype=np.float64) for width in widths])
+    mean /= beside.count
+    products, gram = np.zeros((len(widths), 3)), np.zeros((len(widths), len(widths)))
+    for rows in _strips(used):
+        here = used[rows]
+        part = np.stack([width[rows][here] for width in widths], axis=-1) - mean
+        products += part.T @ (light[rows][here].astype(np.float64) - beside.mean)
+        gram += part.T @ part
+    at_limb = [np.ravel(width)[beside.limb.index] for width in widths]
+    return Air(mean, products, gram, np.stack(at_limb).T - mean)
+
+
+def air_at(
+    columns: Float[np.ndarray, "m c"],
+    light: Float[np.ndarray, "m 3"],
+    at_limb: Int[np.ndarray, " n"],
+    beside: Beside,
+) -> Air:
+    """Air of some used pixels, the others have none.
+
+    Args:
+        light: of these pixels, less the mean of all.
+        at_limb: which of these each of the limb's is; -1 where it is none.
+    """
+    mean = columns.sum(axis=0) / beside.count
+    centred = columns - mean
+    gram = centred.T @ centred + (beside.count - len(columns)) * np.outer(mean, mean)
+    by_limb = np.zeros((len(at_limb), len(mean)), order="F")
+    by_limb[at_limb >= 0] = columns[at_limb[at_limb >= 0]]
+    return Air(mean, columns.T @ light, gram, by_limb - mean)
 
 
 @dataclass(frozen=True)
 class _Problem:
     """Light beside a limb, as a function of the edge; levels and light per width are solved for."""
 
-    sums: _Sums
-    limb: Limb
-    light: Float[np.ndarray, "n 3"]
-    widths: Float[np.ndarray, "n c"]
-    """Both of the limb's pixels, less the means."""
-    share: float = 1.0
-    """Pixels that each of these stands for."""
+    beside: Beside
+    air: Air
 
     def solve(
         self, p: Float[np.ndarray, "8"]
     ) -> tuple[float, Float[np.ndarray, "c 3"], Float[np.ndarray, "3"]]:
         """Square sum, light per width, level."""
-        sums, disc = self.sums, disc_light(self.limb, p)
-        seen = self.share * disc.sum(axis=0)
-        square = sums.square + self.share * (disc * (disc - 2 * self.light)).sum(axis=0)
-        square -= seen**2 / sums.count
-        width_light = sums.width_light - self.share * (self.widths.T @ disc)
-        amounts, gain = _air(sums.gram, width_light)
-        level = sums.mean - seen / sums.count - sums.width_mean @ amounts
+        return self.solve_with(disc_light(self.beside.limb, p))
+
+    def solve_with(
+        self, disc: Float[np.ndarray, "n 3"]
+    ) -> tuple[float, Float[np.ndarray, "c 3"], Float[np.ndarray, "3"]]:
+        beside, air = self.beside, self.air
+        seen = beside.share * disc.sum(axis=0)
+        square = beside.square + beside.share * (disc * (disc - 2 * beside.light)).sum(axis=0)
+        square -= seen**2 / beside.count
+        amounts, gain = _air(air.gram, air.light - beside.share * (air.at_limb.T @ disc))
+        level = beside.mean - seen / beside.count - air.mean @ amounts
         return max(float(square.sum()) - gain, 0.0), amounts, level
 
     def derivative(
@@ -100,79 +223,53 @@ class _Problem:
     ) -> tuple[Float[np.ndarray, "8"], Float[np.ndarray, "8 8"]]:
         """Half the square sum's gradient, and Gauss and Newton's half Hessian (Kaufman 1975, BIT
         15, 49: less what level and amounts take up)."""
-        sums, (_, amounts, level) = self.sums, self.solve(p)
-        sky = level - sums.mean + sums.width_mean @ amounts
-        left = self.light - disc_light(self.limb, p) - sky - self.widths @ amounts
+        beside, air = self.beside, self.air
+        disc, slopes = disc_slopes(beside.limb, p)
+        _, amounts, level = self.solve_with(disc)
+        shell = (amounts.T @ air.at_limb.T).T  # column after column, as the rest
+        left = beside.light - disc - (level - beside.mean + air.mean @ amounts) - shell
         gradient, hessian = np.zeros(len(p)), np.zeros((len(p), len(p)))
-        for k, slope in enumerate(disc_slopes(self.limb, p)):
-            gradient -= self.share * slope.T @ left[:, k]
-            seen = self.share * slope.sum(axis=0)
-            hessian += self.share * slope.T @ slope - np.outer(seen, seen) / sums.count
-            length = amounts[:, k] @ sums.gram @ amounts[:, k]
+        for k, slope in enumerate(slopes):
+            gradient -= beside.share * slope.T @ left[:, k]
+            seen = beside.share * slope.sum(axis=0)
+            hessian += beside.share * (slope.T @ slope) - np.outer(seen, seen) / beside.count
+            length = amounts[:, k] @ air.gram @ amounts[:, k]
             if length > 0:
-                along = self.share * slope.T @ (self.widths @ amounts[:, k])
+                along = beside.share * slope.T @ shell[:, k]
                 hessian -= np.outer(along, along) / length
         return gradient, hessian
 
-    def of_few(self, most: int) -> "_Problem":
-        """The same with evenly chosen pixels of the limb in place of all."""
-        every = -(-len(self.light) // most)
-        if every <= 1:
-            return self
-        limb = Limb(**{name: values[::every] for name, values in vars(self.limb).items()})
-        light, widths, sums = self.light[::every], self.widths[::every], self.sums
-        share = len(self.light) / len(light)
-        # Means and products with the chosen in place of all; a mixture of both would be no sum of
-        # squares.
-        mean = (share * light.sum(axis=0) - self.light.sum(axis=0)) / sums.count
-        width_mean = (share * widths.sum(axis=0) - self.widths.sum(axis=0)) / sums.count
-        square = share * (light**2).sum(axis=0) - (self.light**2).sum(axis=0)
-        products = share * widths.T @ light - self.widths.T @ self.light
-        gram = share * widths.T @ widths - self.widths.T @ self.widths
-        few = _Sums(
-            sums.count,
-            sums.mean + mean,
-            sums.width_mean + width_mean,
-            sums.square + square - sums.count * mean**2,
-            sums.width_light + products - sums.count * np.outer(width_mean, mean),
-            sums.gram + gram - sums.count * np.outer(width_mean, width_mean),
-        )
-        return _Problem(few, limb, light - mean, widths - width_mean, share)
-
 
 def best_limb(
-    light: Light,
-    used: Bool[np.ndarray, "h w"],
-    widths: Sequence[Float[np.ndarray, "h w"]],
-    limb: Limb,
-    begin: Sequence[Float[np.ndarray, "8"]],
+    beside: Beside,
+    air: Air,
+    begin: Sequence[Float[np.ndarray, "8"]] = (),
     height: float | None = None,
     rough: bool = False,
+    anew: bool = False,
 ) -> LimbModel:
-    """Least squares: from the best of the starts a descent by the edge.
+    """Least squares: from the best of the edges to begin with a descent by the edge.
 
-    A rough one looks at few pixels of the limb, and ends where a step gains less than a hundredth
-    of a per cent.
+    Anew, it may begin with each of the `starts` as well. A rough one looks at few pixels of the
+    limb, and ends where a step gains less than a hundredth of a per cent.
     """
-    sums = _add_up(light, used, widths)
-    at_limb = light[np.divmod(limb.index, used.shape[1])].astype(np.float64) - sums.mean
-    columns = [np.asarray(width).reshape(-1)[limb.index].astype(np.float64) for width in widths]
-    width_limb = np.stack(columns, axis=-1) if columns else np.zeros((len(limb.index), 0))
-    whole = _Problem(sums, limb, at_limb, width_limb - sums.width_mean)
+    problem = _Problem(beside, air)
     edge = np.zeros(PARAMETERS)
-    if len(limb.index) and limb.disc.any():
-        few = whole.of_few(_SEARCHED[0 if rough else 1])
-        best = min(begin, key=lambda p: few.solve(p)[0])
-        edge = _descend(few.solve, few.derivative, best, _ROUGH if rough else _GAIN)
-    square_sum, amounts, level = whole.solve(edge)
+    if len(beside.limb.index) and beside.limb.disc.any():
+        few = beside.rough if rough else beside.fine
+        search = _Problem(few, air.of_few(beside, few))
+        found = [(search.solve(p)[0], p) for p in begin]
+        if anew:
+            discs = zip(few.first_discs, starts(), strict=True)
+            found += [(search.solve_with(disc)[0], p) for disc, p in discs]
+        best = min(found, key=lambda one: one[0])[1]
+        edge = _descend(search.solve, search.derivative, best, _ROUGH if rough else _GAIN)
+    square_sum, amounts, level = problem.solve(edge)
+    columns = len(air.mean)
     return LimbModel(
         square_sum=square_sum,
         # The edge's, three levels; the air's three colours, their share if unlit, its height.
-        parameters=PARAMETERS
-        + 3
-        + 3 * bool(widths)
-        + max(len(widths) - 1, 0)
-        + (height is not None),
+        parameters=PARAMETERS + 3 + 3 * bool(columns) + max(columns - 1, 0) + (height is not None),
         edge=edge,
         level=(float(level[0]), float(level[1]), float(level[2])),
         widths=amounts,
@@ -238,41 +335,6 @@ def _strips(used: Bool[np.ndarray, "h w"]) -> Iterator[slice]:
     rows = max(1, 2**18 // max(used.shape[1], 1))
     for start in range(0, used.shape[0], rows):
         yield slice(start, start + rows)
-
-
-def _columns(
-    light: Light,
-    used: Bool[np.ndarray, "h w"],
-    widths: Sequence[Float[np.ndarray, "h w"]],
-    rows: slice,
-) -> Float[np.ndarray, "n columns"]:
-    here = used[rows]
-    return np.column_stack(
-        [light[rows][here].astype(np.float64)] + [np.asarray(w)[rows][here] for w in widths]
-    )
-
-
-def _add_up(
-    light: Light,
-    used: Bool[np.ndarray, "h w"],
-    widths: Sequence[Float[np.ndarray, "h w"]],
-) -> _Sums:
-    count = int(used.sum())
-    mean = np.zeros(3 + len(widths))
-    for rows in _strips(used):
-        mean += _columns(light, used, widths, rows).sum(axis=0)
-    mean /= max(count, 1)
-    square = np.zeros((len(mean), len(mean)))
-    for rows in _strips(used):
-        part = _columns(light, used, widths, rows) - mean
-        square += part.T @ part
-    return _Sums(
-        count, mean[:3], mean[3:], np.diag(square)[:3].copy(), square[3:, :3], square[3:, 3:]
-    )
-
-
-def energy_of(light: Light, used: Bool[np.ndarray, "h w"]) -> float:
-    return sum(float((light[r][used[r]].astype(np.float64) ** 2).sum()) for r in _strips(used))
 
 
 def residual_of(

@@ -16,7 +16,7 @@ from fit.diagnose._bare_limb import EVIDENCE, AirEvidence, find_air
 from fit.diagnose._edge import SHIFT
 from fit.diagnose._effective import effective_samples
 from fit.diagnose._limb import limb_of, near_limb
-from fit.diagnose._limb_fit import best_limb, starts
+from fit.diagnose._limb_fit import best_limb, light_beside, no_air
 from model_jax import Scene, Srgb, Sun, analytic_layers, layer_widths
 from render_gl import load_scene
 from tests.data import REPOSITORY
@@ -119,7 +119,8 @@ def test_finds_blur_and_place(rng: np.random.Generator) -> None:
     layers = analytic_layers(disc_scene((200, 200), (99.5, 99.5, 60.0), 0.1))
     planet = np.asarray(layers.planet) != 0
     ring = np.asarray(layers.has_air) & ~planet
-    model = best_limb(light, ring, (), limb_of(light, planet, ring), starts())
+    beside = light_beside(light, ring, limb_of(light, planet, ring))
+    model = best_limb(beside, no_air(beside), anew=True)
     assert model.blur_px == pytest.approx(1.0, abs=0.15)
     # Only the lit half tells the place: its limb, on the right, is 0.7 px farther right.
     assert np.array([1, 1, 0, 1, 0]) @ model.edge[SHIFT] == pytest.approx(0.7, abs=0.05)
