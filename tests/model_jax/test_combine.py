@@ -232,11 +232,14 @@ def test_rows_have_all_that_the_whole_has() -> None:
         "width_unit": (),
         "stretch": shape,
         "width_error": shape,
+        "water": shape,
     }
-    assert [*given, "view"] == [field.name for field in fields(Layers)]
+    names = {*given, "view", "is_albedo"}
+    assert names == {field.name for field in fields(Layers)}
     maps: dict[str, Any] = {n: np.full(size, next(numbers), float) for n, size in given.items()}
-    whole = Layers(**maps, view=VIEW)
+    whole = Layers(**maps, view=VIEW, is_albedo=True)
     some = whole.rows(slice(1, 3))
+    assert some.is_albedo
     for name, size in given.items():
         axis = {"surface": 0}.get(name, len(size) - 2)
         value, part = np.asarray(getattr(whole, name)), np.asarray(getattr(some, name))
