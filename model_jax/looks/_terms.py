@@ -4,6 +4,7 @@ Each set of terms is a class of its own, so that a term that is not there has no
 and no line in the shader.
 """
 
+from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import Any
@@ -16,14 +17,14 @@ class TermedLook(Look):
     """A look with `TERMS`; a subclass says what each of them brings."""
 
     @classmethod
+    @abstractmethod
     def parameters_of(cls, term: str) -> dict[str, tuple[Any, Any]]:
         """Annotation and field of each parameter that a term brings."""
-        raise NotImplementedError
 
     @classmethod
+    @abstractmethod
     def facts_of(cls, terms: Sequence[str]) -> dict[str, Any]:
         """What the class of a set of terms has besides: facts of `Look`, further fields."""
-        raise NotImplementedError
 
     @classmethod
     def check_terms(cls, terms: Sequence[str]) -> None:
