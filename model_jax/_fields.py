@@ -18,8 +18,8 @@ from ._intersect import squared_miss_distance
 from ._kinds import need
 from ._layers import Layers
 from ._safe import safe_sqrt
-from ._shapes import AnyArray, Depth, Shadows, Width, namespace
-from ._view import pixel_grid, pixel_slopes, ray_offsets
+from ._shapes import AnyArray, Depth, Scalar, Shadows, Width, namespace
+from ._view import View, pixel_grid, pixel_slopes, ray_offsets
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,14 @@ FIELDS: dict[str, Field] = {
     ),
     "end_sun_cos": Field("the same where the air ends", "1"),
     "shell": Field("height at which the air ends", "length"),
+    "nadir_cos": Field("cosine of the angle between the ray and straight down", "1"),
+    "radius": Field("the planet's radius", "length"),
+    "eye_height": Field("height of the camera above the planet's radius", "length"),
+    "ground_horizon": Field("cosine of the angle between straight down and ground's horizon", "1"),
+    "shell_horizon": Field("the same of the air's edge; 0 in the air", "1"),
+    "eye_sun_cos": Field(
+        "cosine of the angle between the vertical at the camera and the direction to the sun", "1"
+    ),
 }
 """Every field a look may ask for. All are `[..., 1]`; the air's `color`, `[..., 3]`, is always
 there."""
@@ -107,7 +115,13 @@ OF_SUN = ("sunward", "sun_cos")
 UNDER_SUN = {"begin_sun_cos": "begin", "end_sun_cos": "end"}
 """Those that tell how high the sun stands, and where on the ray."""
 
-OF_VIEW = (*PLACES, *OF_SUN, *UNDER_SUN, "shell")
+OF_EYE = ("nadir_cos", "radius", "eye_height", "ground_horizon", "shell_horizon", "eye_sun_cos")
+"""Those that tell where the camera is; but for the first they are one number each."""
+
+FACES_SUN = (*OF_SUN, *UNDER_SUN, "eye_sun_cos")
+"""Those for which one has to know where the sun is."""
+
+OF_VIEW = (*PLACES, *OF_SUN, *UNDER_SUN, "shell", *OF_EYE)
 """Those for which one has to know how rays pass the planet."""
 
 
@@ -118,7 +132,7 @@ def amount_of(fields: Mapping[str, AnyArray], name: str) -> AnyArray:
     return (fields[name] - fields["dark_begin"]) * fields["per_length"]
 
 
-OF_RAYS = ("altitude", "impact", "per_length", *OF_SUN, "shell")
+OF_RAYS = ("altitude", "impact", "per_length", *OF_SUN, "shell", *OF_EYE)
 """Those of them that rays have without air too."""
 
 
@@ -215,9 +229,11 @@ def _places(
         "per_length": here(1 / unit),
         "shell": here((view.shell - 1) * view.radius),
     }
-    if any(name in (*OF_SUN, *UNDER_SUN) for name in needs):
+    if any(name in OF_EYE for name in needs):
+        found |= {name: here(value) for name, value in _eye(view, x, y, slant).items()}
+    if any(name in FACES_SUN for name in needs):
         if not view.cones:
-            asked = next(name for name in needs if name in (*OF_SUN, *UNDER_SUN))
+            asked = next(name for name in needs if name in FACES_SUN)
             raise InputError(
                 "layers: do not tell where the sun is, which the look asks for (its field "
                 f"{asked}); give the scene a sun, or use another look"
@@ -231,16 +247,58 @@ def _places(
             distance = jnp.sqrt(found["impact"] ** 2 + found[place] ** 2)
             upward = found["sunward"] + found[place] * found["sun_cos"]
             found[name] = upward / jnp.where(distance > 0, distance, 1)
-    begin, until = layers.shadow_front, layers.shadow_back
-    if ("dark_begin" in needs or "dark_end" in needs) and begin is not None and until is not None:
-        if np.ndim(begin) > front.ndim:
-            raise InputError(
-                f"layers: hold {len(begin)} shadows, and the look asks where in the air the shadow "
-                "is (its field dark_begin); remove the occluders, or use another look"
-            )
-        found["dark_begin"] = along(jnp.clip(begin, front, back))
-        found["dark_end"] = along(jnp.clip(until, front, back))
+    found |= {name: along(depth) for name, depth in _shadow(layers, needs).items()}
     return found
+
+
+def _shadow(layers: Layers, needs: Sequence[str]) -> dict[str, AnyArray]:
+    """Depths of the shadow in the air, if it is asked for and there is one."""
+    front, back = jnp.asarray(layers.front), jnp.asarray(layers.back)
+    begin, until = layers.shadow_front, layers.shadow_back
+    if not ("dark_begin" in needs or "dark_end" in needs) or begin is None or until is None:
+        return {}
+    if np.ndim(begin) > front.ndim:
+        raise InputError(
+            f"layers: hold {len(begin)} shadows, and the look asks where in the air the shadow is "
+            "(its field dark_begin); remove the occluders, or use another look"
+        )
+    return {
+        "dark_begin": jnp.clip(begin, front, back),
+        "dark_end": jnp.clip(until, front, back),
+    }
+
+
+def straight_down(view: View) -> tuple[AnyArray, Scalar]:
+    """Unit vector from the camera to the planet's centre in eye axes, and how far it is, radii."""
+    center = view.aim.center
+    xp = namespace(center)
+    distance = xp.sqrt(xp.sum(center * center))
+    return center / distance, distance
+
+
+def horizon(distance: Scalar, size: Scalar) -> AnyArray:
+    """Cosine of the angle between straight down and a sphere's horizon; 0 at it and inside."""
+    xp = namespace(distance, size)
+    outside = distance > size
+    squared = (distance - size) * (distance + size) / (distance * distance)
+    return xp.where(outside, safe_sqrt(xp.where(outside, squared, 1.0)), 0.0)
+
+
+def _eye(view: View, x: AnyArray, y: AnyArray, slant: AnyArray) -> dict[str, Any]:
+    """Where the camera is.
+
+    Twin: `main` in `combine.frag`, and `_eye_uniforms`.
+    """
+    down, distance = straight_down(view)
+    sun = view.cones[0].axes[2] if view.cones else None
+    above = {} if sun is None else {"eye_sun_cos": -sum(down[k] * sun[k] for k in range(3))}
+    return above | {
+        "nadir_cos": (down[0] * x + down[1] * y + down[2]) / slant,
+        "radius": view.radius,
+        "eye_height": (distance - 1) * view.radius,
+        "ground_horizon": horizon(distance, view.planet),
+        "shell_horizon": horizon(distance, view.shell),
+    }
 
 
 def uses_shadow(needs: Sequence[str]) -> bool:

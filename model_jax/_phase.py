@@ -1,6 +1,7 @@
-"""How light that air scatters is spread over directions: phase functions, 1 on average over all.
+"""How light that air scatters is spread over directions: phase functions, 1 on
+average over all but for the cheap one.
 
-Both are functions of the cosine of the angle by which light is turned, 1 where it goes on as it
+All are functions of the cosine of the angle by which light is turned, 1 where it goes on as it
 came: towards a camera that looks at the sun.
 
 Twins in `phase.glsl`.
@@ -34,8 +35,31 @@ def henyey_greenstein(cos: AnyArray, asymmetry: AnyArray) -> AnyArray:
 
     Twin: `henyey_greenstein` in `phase.glsl`.
     """
-    # 1 + g² - 2 g cos as a sum, of which neither part cancels where g and cos are near 1 or -1.
     size = jnp.abs(asymmetry)
-    turned = jnp.where(asymmetry < 0, 1 + cos, 1 - cos)
-    squared = jnp.maximum((1 - size) ** 2 + 2 * size * jnp.maximum(turned, 0), NEAREST)
+    squared = squared_distance(cos, asymmetry, size)
     return (1 - size) * (1 + size) / (squared * jnp.sqrt(squared))
+
+
+def squared_distance(cos: AnyArray, asymmetry: AnyArray, size: AnyArray) -> AnyArray:
+    """1 + g² - 2 g cos as a sum, of which neither part cancels where g and cos are near 1 or -1.
+
+    Twin: `squared_distance` in `phase.glsl`.
+    """
+    turned = jnp.where(asymmetry < 0, 1 + cos, 1 - cos)
+    return jnp.maximum((1 - size) ** 2 + 2 * size * jnp.maximum(turned, 0), NEAREST)
+
+
+def cheap_cornette_shanks(cos: AnyArray, asymmetry: AnyArray) -> AnyArray:
+    """Of haze, without a root: 3/2 (1 - g²)/(2 + g²) (1 + cos²)/(1 + g² - 2 g cos).
+
+    Cornette and Shanks raise the denominator to 1.5, so this glow is wider, and its mean is not 1.
+
+    Source: document 004, whose g has the other sign; after Cornette & Shanks, "Physically
+    reasonable analytic expression for the single-scattering phase function", 1992.
+
+    Twin: `cheap_cornette_shanks` in `phase.glsl`.
+    """
+    size = jnp.abs(asymmetry)
+    squared = squared_distance(cos, asymmetry, size)
+    height = 1.5 * (1 - size) * (1 + size) / (2 + size * size)
+    return height * (1 + cos * cos) / squared

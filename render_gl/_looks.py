@@ -11,7 +11,7 @@ import numpy as np
 
 from model_jax import InputError, Look
 from model_jax._composite import transmits
-from model_jax._fields import OF_SUN, OF_VIEW, UNDER_SUN
+from model_jax._fields import OF_EYE, OF_SUN, OF_VIEW, UNDER_SUN
 from model_jax._parameter import Parameter
 from model_jax.looks._registry import checked, is_built_in
 
@@ -154,5 +154,6 @@ def look_defines(kind: type[Look]) -> dict[str, int]:
     fields = {f"FIELD_{name.upper()}": 1 for name in kind.NEEDS}
     fields |= {"PLACES": 1} if any(name in OF_VIEW for name in kind.NEEDS) else {}
     towards = any(name in (*OF_SUN, *UNDER_SUN) for name in kind.NEEDS)
+    fields |= {"EYE": 1} if any(name in OF_EYE for name in kind.NEEDS) else {}
     fields |= {"TOWARD_SUN": 1} if towards else {}
     return fields | ({"TRANSMITS": 1} if transmits(kind) else {})

@@ -268,6 +268,10 @@ def _place_errors(
         off = division_ulp * np.spacing(np.abs(np.asarray(depths[place])))
         moved = found["sunward"] + found["impact"] + slant * (off + nearest)
         found[name] = moved / radius + (16 * float(view.shell) + 6) * EPS
+    # Straight down is off by half an ulp, the cosine like that with the sun; the rest is rounded.
+    found["nadir_cos"] = np.full(slant.shape, 8 * EPS)
+    for name in ("radius", "eye_height", "ground_horizon", "shell_horizon", "eye_sun_cos"):
+        found[name] = EPS * at.get(name, np.zeros(slant.shape))
     found["shell"] = np.full(slant.shape, 2 * EPS * radius * float(view.shell - 1))
     return found
 

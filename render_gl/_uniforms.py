@@ -6,12 +6,13 @@ import numpy as np
 
 from model_jax import Camera, Encoding, Look, Scene, Sun, depth_constants, eye_center
 from model_jax._column import DEEPEST, NODES, REACH, SERIES_DEPTH, SHARES, STEEPEST
+from model_jax._fields import horizon, straight_down
 from model_jax._phase import NEAREST
 from model_jax._sun_column import HIGH_SUN, LOW_SUN, ON_GROUND, SUNK, TAIL_FACTORS, TAIL_RATE
 from model_jax._sunlight import NODES as SUN_NODES
 from model_jax._sunlight import SHARES as SUN_SHARES
 from model_jax._sunlight import WITHIN
-from model_jax._view import Aim, ShadowCone
+from model_jax._view import Aim, ShadowCone, view_of
 
 from ._depth_format import Storage
 from ._looks import look_defines
@@ -59,6 +60,7 @@ def uniforms_of(scene: Scene, encoding: Encoding) -> dict[str, Any]:
         "phase_nearest": NEAREST,
         "series_depth": SERIES_DEPTH,
         "shell_height": float(scene.atmosphere.height),
+        **_eye_uniforms(scene),
         "color": tuple(np.asarray(scene.atmosphere.color)),
         "planet_color": albedo if isinstance(albedo, tuple) else (0.0, 0.0, 0.0),
         "relief_scale": relief_scale(scene),
@@ -93,6 +95,25 @@ def cone_uniforms(cone: ShadowCone) -> dict[str, Any]:
     }
 
 
+def _eye_uniforms(scene: Scene) -> dict[str, Any]:
+    """Where the camera is: once per drawing, for fields that are one number for all rays."""
+    view = view_of(scene)
+    down, distance = straight_down(view)
+    sun = view.cones[0].axes[2] if view.cones else np.zeros(3)
+    return {
+        "straight_down": tuple(np.asarray(down)),
+        "eye_height": float((distance - 1) * view.radius),
+        "eye_horizons": (float(horizon(distance, 1.0)), float(horizon(distance, view.shell))),
+        "eye_sun_cos": float(-down @ sun),
+    }
+
+
+def is_inside(scene: Scene) -> bool:
+    """Whether the camera is in the air."""
+    view = view_of(scene)
+    return float(straight_down(view)[1]) <= float(view.shell)
+
+
 def _tangent(sun: Sun) -> float:
     return float(np.tan(np.deg2rad(sun.angular_radius_deg)))
 
@@ -120,6 +141,7 @@ def defines_of(scene: Scene, kind: type[Look], storage: Storage, shadows: int) -
         "TEXTURE": isinstance(scene.planet.albedo, str),
         "RELIEF": scene.planet.relief is not None,
         "UNLIT": kind.LIGHTS_GROUND,
+        "INSIDE": is_inside(scene),
         # Where pass 3 writes it: after light, and depths if these are colours.
         "WATER": has_water(scene, kind) and (2 if storage.texture is not None else 1),
     }

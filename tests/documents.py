@@ -125,3 +125,114 @@ def rim_picture(
     # "The same blending equation as traditional transparency."
     blended = colors * alpha[..., None] + surface * (1 - alpha[..., None])
     return blended, alpha
+
+
+# --- document 004 -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """Document 004's numbers, and what is ours."""
+
+    falloff: float = 1.5
+    """fExposure"""
+    color: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    """What the texture is multiplied by: ours."""
+    stretch: float = 0.25
+    tweak: float = 0.1
+    texture: np.ndarray | None = None
+    """Nodes [brightness, height, 4]; None: 1 everywhere."""
+    g: float | None = None
+    """Atmosphere_G; None: no glow."""
+    lamp: float | None = None
+    """Distance of the light from the centre, planet radii; None: as far as the sun."""
+    veil: bool = False
+    """Ours: before the ground height is the air's length on the ray over that at the horizon."""
+    clamped: bool = True
+    """What is below 0 is 0, as in a target of 8 bits."""
+    near: str = "eye"
+    """In the air the near point is the camera, as under "Possible Improvements"; "shell": the
+    document's own, on the shell behind it."""
+
+
+def sampled(texture: np.ndarray | None, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Bilinear between nodes at 0 … 1, held at the edges: one interpolation after the other."""
+    if texture is None:
+        return np.ones((*u.shape, 4))
+    columns, rows, _ = texture.shape
+    found = np.zeros((*u.shape, 4))
+    for c in range(4):
+        lines = [
+            np.interp(u, np.linspace(0, 1, columns), texture[:, row, c]) for row in range(rows)
+        ]
+        place = np.clip(v, 0, 1) * (rows - 1)
+        below = np.minimum(place.astype(int), rows - 2)
+        part, stack = place - below, np.stack(lines)
+        one, other = (np.take_along_axis(stack, b[None], 0)[0] for b in (below, below + 1))
+        found[..., c] = one * (1 - part) + other * part
+    return found
+
+
+def gradient_picture(scene: Scene, look: Gradient) -> np.ndarray:
+    """Light and alpha [h, w, 4] of the sky."""
+    assert scene.sun is not None
+    seen = rays(scene.camera)
+    surface_radius = float(scene.planet.radius)
+    atmosphere_radius = surface_radius + float(scene.atmosphere.height)
+    cam_pos, ray = seen.eye, seen.direction
+    cam_height = float(np.linalg.norm(cam_pos))
+    light_dir = np.asarray(scene.sun.direction)
+
+    # The vertex: where the ray leaves the shell; ours also: the ground, where that ends the ray.
+    on_shell, to_near, to_far = seen.meet(atmosphere_radius)
+    ground, to_ground, _ = seen.meet(surface_radius)
+    far_dist = np.where(ground & look.veil, to_ground, to_far)
+    position = seen.at(far_dist)
+    near_dist = to_near
+    if cam_height < atmosphere_radius and look.near == "eye":
+        near_dist = np.zeros_like(to_near)
+    near_normal = unit(seen.at(near_dist))
+    normal = unit(position)
+
+    lc = light_dir @ cam_pos / cam_height
+    ln = normal @ light_dir
+    lnn = near_normal @ light_dir
+
+    altitude = cam_height - surface_radius
+    horizon_dist = np.sqrt(altitude**2 + 2 * surface_radius * altitude)
+    max_dot = horizon_dist / cam_height
+    altitude = max(0.0, cam_height - atmosphere_radius)
+    horizon_dist = np.sqrt(altitude**2 + 2 * atmosphere_radius * altitude)
+    min_dot = max(look.tweak, horizon_dist / cam_height)
+    min_dot2 = (cam_height - surface_radius) / (atmosphere_radius - surface_radius)
+    min_dot2 -= 1 - look.tweak
+    min_dot = min(min_dot, min_dot2)
+    pos_dot = ray @ (-cam_pos / cam_height) - min_dot
+    height = pos_dot / (max_dot - min_dot)
+    if look.veil:
+        at_horizon = np.sqrt(min(cam_height, atmosphere_radius) ** 2 - surface_radius**2)
+        height = np.where(ground, (far_dist - np.maximum(near_dist, 0)) / at_horizon, height)
+
+    ln = np.maximum(0, ln + look.stretch)
+    lnn = np.maximum(0, lnn + look.stretch)
+    brightness = np.clip(ln + lnn * lc, 0, 1)
+    u = brightness * np.clip(lc + 1 + look.stretch, 0, 1)
+    v = height
+    height = height - np.minimum(0, min_dot2 + ln * min_dot2)
+    alpha = height * brightness
+
+    # The fragment.
+    diffuse = sampled(look.texture, u, v) * look.color
+    color = diffuse * alpha[..., None] * (1 + v)[..., None]
+    if look.g is not None:
+        diffuse2 = sampled(look.texture, np.minimum(0.5, u), np.ones_like(v)) * look.color
+        g2 = look.g**2
+        to_light = np.broadcast_to(light_dir, position.shape)
+        if look.lamp is not None:
+            to_light = look.lamp * surface_radius * light_dir - position
+        cosine = dot(unit(to_light), -ray)
+        phase = 1.5 * (1 - g2) / (2 + g2) * (1 + cosine**2) / (1 + g2 - 2 * look.g * cosine)
+        color = color + diffuse2 * (phase * alpha)[..., None]
+    out = 1 - np.exp(-look.falloff * color)
+    shown = on_shell & (look.veil | ~ground)
+    return np.where(shown[..., None], np.maximum(out, 0) if look.clamped else out, 0)

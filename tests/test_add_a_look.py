@@ -116,7 +116,7 @@ def test_an_installed_package_brings_it(
         )
 
     listed = json.loads(run("looks", "--json").stdout)["looks"]
-    assert list(listed) == ["layers", "air", "rim", "haze"]
+    assert list(listed) == ["layers", "air", "rim", "gradient", "haze"]
     done = run("check", "scene.toml", "-o", "check")
     assert done.returncode == 0, done.stderr + done.stdout
 

@@ -51,7 +51,9 @@ def test_gradient_example_descends() -> None:
     assert losses[1] < 0.01 * losses[0]
 
 
-@pytest.mark.parametrize(("name", "size"), [("paper", (1280, 1024)), ("rim", (640, 512))])
+@pytest.mark.parametrize(
+    ("name", "size"), [("paper", (1280, 1024)), ("rim", (640, 512)), ("gradient", (640, 512))]
+)
 def test_scenes_of_documents_pass_the_check(name: str, size: tuple[int, int]) -> None:
     file = render_gl.load_scene(EXAMPLES / f"{name}.toml")
     assert (file.scene.camera.width, file.scene.camera.height) == size
@@ -64,6 +66,7 @@ def test_scenes_of_documents_pass_the_check(name: str, size: tuple[int, int]) ->
     [
         "paper",
         "rim",
+        "gradient",
         *(pytest.param(n, marks=pytest.mark.full) for n in ("reference", "epic", "iss")),
     ],
 )

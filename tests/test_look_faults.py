@@ -290,7 +290,8 @@ def test_scenes_run_no_code_and_name_what_they_miss(
     path = write_scene(tmp_path)
     write_look(tmp_path)
     assert airlight("render", path, "-o", tmp_path / "out.png") == 2
-    assert "'haze' is unknown; choose from layers, air, rim, install" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "'haze' is unknown; choose from layers, air, rim, gradient, install" in told
     path.write_text(blocks("toml")[0].replace('"haze"', '"haze.py"'))
     assert airlight("render", path, "-o", tmp_path / "out.png") == 2
     assert "is a Python file; write the look's name there" in capsys.readouterr().err

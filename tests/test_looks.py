@@ -206,8 +206,8 @@ def test_two_files_of_one_name_are_two_looks(tmp_path: Path) -> None:
 
 # --- nothing outside of a look's files spells it ------------------------------------------------
 
-OWN = {f"model_jax/looks/_{name}.py" for name in ("layers", "air", "rim")}
-OWN |= {f"render_gl/glsl/looks/{name}.glsl" for name in ("layers", "air", "rim")}
+OWN = {f"model_jax/looks/_{name}.py" for name in ("layers", "air", "rim", "gradient")}
+OWN |= {f"render_gl/glsl/looks/{name}.glsl" for name in ("layers", "air", "rim", "gradient")}
 
 NAMES = {
     "fit/bench/_case.py": "the race is run with the look `layers`, whose optimum is known",

@@ -94,7 +94,10 @@ def looks_table() -> list[str]:
                 ("−∞" if about["lower"] is None else f"{about['lower']:g}"),
                 ("∞" if about["upper"] is None else f"{about['upper']:g}"),
             )
-            cells = [look_name, f"`{key}`", " ".join(f"{v:g}" for v in values), about["unit"]]
+            told = " ".join(f"{v:g}" for v in values)
+            if len(values) > 9:
+                told = f"{len(values)} numbers"
+            cells = [look_name, f"`{key}`", told, about["unit"]]
             rows.append("| " + " | ".join([*cells, f"{low} … {high}", about["meaning"]]) + " |")
     return rows
 

@@ -165,13 +165,7 @@ class AirLook(TermedLook):
     def check_terms(cls, terms: Sequence[str]) -> None:
         if {"density", "density-rgb"} <= set(terms):
             raise InputError(f"look {cls.NAME}: density and density-rgb are one term; name one")
-        there = {"density" if name == "density-rgb" else name for name in terms}
-        for name in terms:
-            missing = [other for other in cls.TERM_NEEDS.get(name, ()) if other not in there]
-            if missing:
-                raise InputError(
-                    f"look {cls.NAME}: term {name} goes with {' and '.join(missing)}; add it"
-                )
+        super().check_terms(["density" if name == "density-rgb" else name for name in terms])
 
     @classmethod
     def facts_of(cls, terms: Sequence[str]) -> dict[str, Any]:

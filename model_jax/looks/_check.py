@@ -169,6 +169,18 @@ def _places() -> dict[str, Float[np.ndarray, " n"]]:
         "end_sun_cos": np.cos(7 * low + 8 * high),
         "shell": np.full(len(low), top - radius),
     }
+    # Seen from a third of the air's height, or from two radii.
+    eye = np.where(np.arange(len(low)) % 2 == 0, (2 * radius + top) / 3, 3 * radius)
+    turned = np.where(eye > top, 1, np.where(high > 1, 1, -1))
+    nadir_cos = turned * np.sqrt(np.maximum(1 - (impact / eye) ** 2, 0))
+    found |= {
+        "nadir_cos": nadir_cos,
+        "radius": np.full(len(low), radius),
+        "eye_height": eye - radius,
+        "ground_horizon": np.sqrt(1 - (radius / eye) ** 2),
+        "shell_horizon": np.sqrt(np.maximum(1 - (top / eye) ** 2, 0)),
+        "eye_sun_cos": np.sin(5 * low + 2 * high),
+    }
     return {name: part.astype(np.float32) for name, part in found.items()}
 
 

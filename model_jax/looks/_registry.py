@@ -15,12 +15,15 @@ from .._errors import InputError, cut, need_path, shown
 from .._look import Look
 from ._air import AirLook
 from ._check import check_look
+from ._gradient import GradientLook
 from ._layers import LayersLook
 from ._rim import RimLook
 
 GROUP = "airlight.looks"
 
-BUILT_IN: dict[str, type[Look]] = {kind.NAME: kind for kind in (LayersLook, AirLook, RimLook)}
+BUILT_IN: dict[str, type[Look]] = {
+    kind.NAME: kind for kind in (LayersLook, AirLook, RimLook, GradientLook)
+}
 
 AUTO: tuple[type[Look], type[Look]] = (LayersLook, AirLook)
 """What a fit chooses of where nobody names a look: the plain one, and that whose terms may be added

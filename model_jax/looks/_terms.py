@@ -28,7 +28,13 @@ class TermedLook(Look):
 
     @classmethod
     def check_terms(cls, terms: Sequence[str]) -> None:
-        """Raise `InputError` for terms that do not go together."""
+        """Raise `InputError` for terms that do not go together, or not without others."""
+        for name in terms:
+            missing = [other for other in cls.TERM_NEEDS.get(name, ()) if other not in terms]
+            if missing:
+                raise InputError(
+                    f"look {cls.NAME}: term {name} goes with {' and '.join(missing)}; add it"
+                )
 
     @classmethod
     def with_terms(cls, terms: Iterable[str]) -> type[Look]:

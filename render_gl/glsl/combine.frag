@@ -2,7 +2,7 @@
 // Pass 5: reads the depths of its pixel, hands on its own and the one behind, and asks the look for
 // the light of what lies between them. EXACT: its own is where the pixel's ray enters the shell; else
 // the mesh's. FIELD_...: what the look asks for, PLACES: heights and
-// lengths among it, TOWARD_SUN: where the sun is; TRANSMITS: it has a transmittance.
+// lengths among it, TOWARD_SUN: where the sun is, EYE: where the camera is; TRANSMITS: it has a transmittance.
 
 #include "rays.glsl"
 #include "fields.glsl"
@@ -65,6 +65,24 @@ struct Fields {
 #ifdef FIELD_SHELL
     float shell;
 #endif
+#ifdef FIELD_NADIR_COS
+    float nadir_cos;
+#endif
+#ifdef FIELD_RADIUS
+    float radius;
+#endif
+#ifdef FIELD_EYE_HEIGHT
+    float eye_height;
+#endif
+#ifdef FIELD_GROUND_HORIZON
+    float ground_horizon;
+#endif
+#ifdef FIELD_SHELL_HORIZON
+    float shell_horizon;
+#endif
+#ifdef FIELD_EYE_SUN_COS
+    float eye_sun_cos;
+#endif
 };
 
 // vec3 air(Fields, inout float alpha, inout vec3 transmittance): light of the air; alpha comes as the
@@ -77,6 +95,14 @@ uniform vec3 sun_in_view;             // unit vector toward the sun, eye axes
 #endif
 #ifdef FIELD_SHELL
 uniform float shell_height;           // scene length units
+#endif
+#ifdef FIELD_NADIR_COS
+uniform vec3 straight_down;           // unit vector to the planet's centre, eye axes
+#endif
+#ifdef EYE
+uniform float eye_height;             // scene length units
+uniform vec2 eye_horizons;            // of ground and shell: cosines with straight down
+uniform float eye_sun_cos;
 #endif
 #ifdef FIELD_PLANET
 uniform sampler2D ground_pass;            // pass 3: coverage in alpha
@@ -216,6 +242,24 @@ void main() {
 #endif
 #ifdef FIELD_SHELL
     fields.shell = shell_height;
+#endif
+#ifdef FIELD_NADIR_COS
+    fields.nadir_cos = dot(vec3(d, 1.0), straight_down) / slant;
+#endif
+#ifdef FIELD_RADIUS
+    fields.radius = length_unit;
+#endif
+#ifdef FIELD_EYE_HEIGHT
+    fields.eye_height = eye_height;
+#endif
+#ifdef FIELD_GROUND_HORIZON
+    fields.ground_horizon = eye_horizons.x;
+#endif
+#ifdef FIELD_SHELL_HORIZON
+    fields.shell_horizon = eye_horizons.y;
+#endif
+#ifdef FIELD_EYE_SUN_COS
+    fields.eye_sun_cos = eye_sun_cos;
 #endif
     float alpha = color.a;
     vec3 transmittance = vec3(1.0);

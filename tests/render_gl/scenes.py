@@ -1,8 +1,14 @@
 """Scenes that the renderers' tests share."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
+import pytest
 
 from model_jax import Atmosphere, Camera, Occluder, Planet, Scene, Sun
+from tests.data import REPOSITORY
+from tests.model_jax.scenes import scene_of
 
 OCTANTS = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
 
@@ -65,3 +71,42 @@ SCENES = {f"sun {octant}": scene(sun=octant) for octant in OCTANTS} | {
         moons=(((1.5, 0.5, 0.9), 0.5), ((0.3, -1.6, 0.9), 0.3), ((1.8, 0.7, 1.7), 0.4)),
     ),
 }
+
+
+def by_chance(rng: np.random.Generator) -> Scene:
+    """A camera from the ground to 30 radii away, any sun, thin and thick shells, ground that
+    mirrors where a map says."""
+    away = rng.normal(size=3)
+    place = away / np.linalg.norm(away) * rng.choice([1.002, 1.05, 1.5, 3.0, 30.0])
+    distance = float(np.linalg.norm(place))
+    x, y, z = (float(c) for c in rng.normal(size=3))
+    made = scene_of(
+        tuple(place),
+        tuple(rng.normal(size=3) * 0.5),
+        (x, y, z),
+        fov=float(np.degrees(min(2.4 / distance, 1.2))),
+        shell=float(rng.choice([0.002, 0.02, 0.2])),
+        near=max(distance - 1.5, 1e-3),
+        far=distance + 1.5,
+        path=str(rng.choice(["depth", "distance"])),
+        size=(48, 36),
+    )
+    maps = REPOSITORY / "examples"
+    albedo, water = (str(maps / f"planet_{name}") for name in ("albedo.jpg", "water.png"))
+    return replace(made, planet=replace(made.planet, albedo=albedo, water=water, triangles=5000))
+
+
+def plant_fault(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """A parameter of looks reaches the shader a percent too small."""
+    from render_gl import _raster
+
+    drawn = _raster.look_uniforms
+
+    def faulty(look: Any) -> dict[str, Any]:
+        found = drawn(look)
+        if name in found:  # accuracy is measured with another look
+            wrong = np.multiply(found[name], 0.99).tolist()
+            found[name] = tuple(wrong) if isinstance(found[name], tuple) else wrong
+        return found
+
+    monkeypatch.setattr(_raster, "look_uniforms", faulty)

@@ -20,6 +20,8 @@ from render_gl import (
 from render_gl._draw import draw
 from tests.model_jax.scenes import PLACES, RADIUS, SHAPES, scene_of
 
+from .scenes import plant_fault
+
 VALUES: dict[str, dict[str, Any]] = {
     "": {},
     "density": {"scale_height": 8.0},
@@ -111,18 +113,7 @@ def test_a_fault_of_a_percent_in_a_parameter_is_caught(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The bound is not so wide that anything passes."""
-    from render_gl import _raster
-
-    drawn = _raster.look_uniforms
-
-    def faulty(look: Any) -> dict[str, Any]:
-        found = drawn(look)
-        if name in found:  # accuracy is measured with another look
-            wrong = np.multiply(found[name], 1.01).tolist()
-            found[name] = tuple(wrong) if isinstance(wrong, list) else wrong
-        return found
-
-    monkeypatch.setattr(_raster, "look_uniforms", faulty)
+    plant_fault(monkeypatch, name)
     terms = "density+top+saturation"
     parity = check_scene(limb(), find_look(f"air+{terms}")(**VALUES[terms])).parity
     assert not parity.passed

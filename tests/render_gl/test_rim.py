@@ -20,7 +20,8 @@ from render_gl import (
 )
 from render_gl._maps import load_water
 from tests.data import REPOSITORY
-from tests.model_jax.scenes import scene_of
+
+from .scenes import by_chance, plant_fault
 
 EXAMPLES = REPOSITORY / "examples"
 WHOLE = "rim+gradient+specular"
@@ -34,23 +35,7 @@ def example() -> Scene:
 def drawn_by_chance(seed: int) -> tuple[Scene, Look, str, Any]:
     """A scene, numbers, format and source from all over their ranges."""
     rng = np.random.default_rng(seed)
-    away = rng.normal(size=3)
-    place = away / np.linalg.norm(away) * rng.choice([1.002, 1.05, 1.5, 3.0, 30.0])
-    distance = float(np.linalg.norm(place))
-    x, y, z = (float(c) for c in rng.normal(size=3))
-    scene = scene_of(
-        tuple(place),
-        tuple(rng.normal(size=3) * 0.5),
-        (x, y, z),
-        fov=float(np.degrees(min(2.4 / distance, 1.2))),
-        shell=float(rng.choice([0.002, 0.02, 0.2])),
-        near=max(distance - 1.5, 1e-3),
-        far=distance + 1.5,
-        path=str(rng.choice(["depth", "distance"])),
-        size=(48, 36),
-    )
-    albedo, water = (str(EXAMPLES / f"planet_{name}") for name in ("albedo.jpg", "water.png"))
-    scene = replace(scene, planet=replace(scene.planet, albedo=albedo, water=water, triangles=5000))
+    scene = by_chance(rng)
     kind = find_look(str(rng.choice(TERMS)))
     values: dict[str, Any] = {
         "brightness": rng.uniform(0, 10),
@@ -85,17 +70,7 @@ def test_shader_and_twin_agree_wherever_chance_puts_them(seed: int) -> None:
 def test_a_fault_of_a_percent_in_a_parameter_is_caught(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from render_gl import _raster
-
-    drawn = _raster.look_uniforms
-
-    def faulty(look: Any) -> dict[str, Any]:
-        found = drawn(look)
-        if name in found:  # accuracy is measured with another look
-            found[name] = np.multiply(found[name], 0.99).tolist()
-        return found
-
-    monkeypatch.setattr(_raster, "look_uniforms", faulty)
+    plant_fault(monkeypatch, name)
     assert not check_scene(example(), find_look(WHOLE)()).parity.passed
 
 

@@ -62,6 +62,8 @@ TWINS = {
     "sunlight_met": _sunlight.sunlight_met,
     "rayleigh": _phase.rayleigh,
     "henyey_greenstein": _phase.henyey_greenstein,
+    "squared_distance": _phase.squared_distance,
+    "cheap_cornette_shanks": _phase.cheap_cornette_shanks,
 }
 """Of functions whose twin is not public, or has another name."""
 
@@ -118,7 +120,14 @@ def test_defines_follow_the_version_line() -> None:
         {"CONE", "EXACT", "LINEAR", "REVERSED", "SHADOWS", "SORTED", "STRETCH", "TRANSMITS"}
     )
     known = sorted(
-        {*known, "PLACES", "TOWARD_SUN", "WATER", *(f"FIELD_{name.upper()}" for name in FIELDS)}
+        {
+            *known,
+            "EYE",
+            "PLACES",
+            "TOWARD_SUN",
+            "WATER",
+            *(f"FIELD_{name.upper()}" for name in FIELDS),
+        }
     )
     assert lines[1 : len(known) + 1] == [f"#define {name} 2" for name in known]
     assert "#include" not in text
