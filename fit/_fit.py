@@ -199,6 +199,7 @@ def fit(
         task = Task(
             photos,
             all_layers,
+            all_layers,
             start,
             parameters,
             loss_name,

@@ -133,7 +133,7 @@ def _ask(
     planet = np.asarray(layers.planet) != 0
     widths = []
     unit = float(task.layers[0].width_unit)
-    for field in fields_at(layers, index, unit, ("lit", "dark")).values():
+    for field in fields_at(task.given[number], index, unit, ("lit", "dark")).values():
         full = np.zeros(np.shape(layers.front), np.float32)
         full.reshape(-1)[index] = field
         widths.append(full)

@@ -16,6 +16,11 @@ CHECK = 1e-6
 """How far, as a share of the variance of one sample, the square sum at the end may lie above what a
 Gauss–Newton step promises: the parameters are then within 1e-3 standard errors of the optimum."""
 
+KINK = 1e-2
+"""The same where steps break their promise: a look with a kink in it, such as `max(0, …)`, may have
+its optimum on one pixel's, where slopes are those of one side. That is a tenth of a standard
+error."""
+
 _FINISHES = 4
 _FINISH_STEPS = 8
 """Tries, and steps of each: Gauss–Newton doubles the digits where the model is nearly linear."""
@@ -107,6 +112,16 @@ def gauss_newton(gram: Float[np.ndarray, "q q"]) -> Float[np.ndarray, " p"]:
 def is_settled(problem: Problem, gram: np.ndarray) -> bool:
     """The check of the end point: no step would make the square sum smaller by what counts."""
     return bool(_promise(gram) <= CHECK * sample_variance(problem, gram) + problem.rounding)
+
+
+def is_on_kink(point: Point, gram: np.ndarray) -> bool:
+    """Whether a step is promised a little, and none, however short, keeps it."""
+    variance = sample_variance(point.problem, gram)
+    if not _promise(gram) <= KINK * variance:
+        return False
+    step, least = -gauss_newton(gram), float(gram[-1, -1])
+    kept = [least - float(point.moved(share * step).gram()[-1, -1]) for share in (1, 1 / 4, 1 / 16)]
+    return bool(max(kept) <= CHECK * variance + point.problem.rounding)
 
 
 def sample_variance(problem: Problem, gram: np.ndarray) -> float:

@@ -31,7 +31,7 @@ from ._parameters import (
     is_outside,
     settle_shares,
 )
-from ._polish import CHECK, finish, is_settled, put_inside, sample_variance
+from ._polish import CHECK, finish, is_on_kink, is_settled, put_inside, sample_variance
 from ._problem import Point, Problem
 from ._samples import Samples
 from ._separable import is_separable
@@ -161,7 +161,8 @@ def search(  # long: one loop, and each of its branches changes what the next ro
         at_bound=tuple(at_bound),
         flat=tuple(flat),
         finite=True,
-        settled=is_settled(problem, gram) and second != "lower",
+        settled=second != "lower"
+        and (is_settled(problem, gram) or is_on_kink(Point(problem, vector, directions), gram)),
         gram=gram,
         history=first.history,
         steps=first.steps,

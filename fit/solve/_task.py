@@ -17,6 +17,9 @@ class Task:
 
     photos: tuple[PhotoLike, ...]
     layers: tuple[Layers, ...]
+    """Without shadows that the look does not ask for."""
+    given: tuple[Layers, ...]
+    """The same as they were given: what is asked of the light alone hangs on no look."""
     look: Look
     parameters: tuple[FitParameter, ...]
     loss: LossName

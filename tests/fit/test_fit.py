@@ -10,7 +10,8 @@ from PIL import Image
 
 from fit import Photo, fit, load_photo
 from fit._choices import SOLVERS
-from fit.solve._polish import CHECK, is_settled
+from fit.solve._polish import CHECK, KINK, is_on_kink, is_settled
+from fit.solve._problem import Point
 from model_jax import (
     Layers,
     LayersLook,
@@ -168,7 +169,30 @@ def test_the_end_is_judged_by_what_a_step_promises(
     variance = end.square_sum / (point.problem.count - len(curved))
     step = np.zeros(len(curved))
     step[0] = np.sqrt(promise * CHECK * variance / curved[0, 0])
-    assert is_settled(point.problem, point.moved(step).gram()) == (promise < 1)
+    away = point.moved(step)
+    assert is_settled(point.problem, away.gram()) == (promise < 1)
+    # Where the light is smooth a step keeps what it is promised.
+    assert is_on_kink(away, away.gram()) == (promise < 1)
+
+
+class _Kinked(Point):
+    """Of one number: the square sum falls towards 0 from both sides, as `|x|` does."""
+
+    def gram(self) -> np.ndarray:
+        at = float(self.vector[0])
+        slope = (0.005 if at >= 0 else -0.005) + at
+        return np.array([[1.0, slope], [slope, 100 + 0.01 * abs(at) + at**2]])
+
+
+def test_the_end_may_be_a_kink(layers64: Layers, noisy: np.ndarray) -> None:
+    problem = evidence_of(fit(noisy, layers64, START)).point.problem
+    kink = _Kinked(problem, np.zeros(1), np.ones((1, 1)))
+    variance = 100 / (problem.count - 1)
+    assert CHECK * variance < 0.005**2 < KINK * variance
+    assert not is_settled(problem, kink.gram())
+    assert is_on_kink(kink, kink.gram())
+    beside = kink.moved(np.array([0.01]))
+    assert not is_on_kink(beside, beside.gram())
 
 
 @pytest.mark.full

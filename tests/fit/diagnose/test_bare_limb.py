@@ -4,6 +4,7 @@ import json
 import re
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,13 +12,14 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from fit import fit, load_photo
+from fit.diagnose import _airless
 from fit.diagnose._alignment import limb_beside
 from fit.diagnose._bare_limb import EVIDENCE, AirEvidence, find_air
 from fit.diagnose._edge import SHIFT
 from fit.diagnose._effective import effective_samples
 from fit.diagnose._limb import limb_of, near_limb
 from fit.diagnose._limb_fit import best_limb, light_beside, no_air
-from model_jax import Scene, Srgb, Sun, analytic_layers, layer_widths
+from model_jax import Scene, Srgb, Sun, analytic_layers, find_look, layer_widths
 from render_gl import load_scene
 from tests.data import REPOSITORY
 from tests.fit.diagnose.discs import disc_scene, full_moon, moon
@@ -288,6 +290,25 @@ def test_three_answers_of_many_planets() -> None:
     assert sum(one.has_air for one in full) >= 255
     missed = [one for one in full if not one.has_air]
     assert sum(one.is_open for one in missed) >= len(missed) / 4
+
+
+def test_the_answer_hangs_on_no_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of layers with a shadow the question knows it, though the look asks for none: the crescent
+    had no air by looks without."""
+    asked: list[int] = []
+
+    def counted(*given: Any) -> AirEvidence:
+        asked.append(len(given[3]))
+        return find_air(*given)
+
+    monkeypatch.setattr(_airless, "find_air", counted)
+    drawn = with_air(np.random.default_rng([2, 0]))
+    answers = [
+        fit(drawn.light, drawn.layers, find_look(name)(), max_steps=20).verdict == "no_data"
+        for name in ("layers", "gradient")
+    ]
+    assert asked == [2, 2]
+    assert answers[0] == answers[1]
 
 
 def test_thin_air_under_a_blur_cannot_be_told() -> None:
