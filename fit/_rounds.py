@@ -1,11 +1,11 @@
 """The search, again and again while the noise it weighs samples by is not yet known."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ._choices import LossName
 from ._compile import float64
@@ -23,6 +23,8 @@ ROUNDING = 1e-9
 """Noise there is at least, of the brightest sample."""
 _ROUNDS = 6
 """Most rounds of search and noise."""
+_FIRST_NOISE = 0.01
+"""Noise of the first round, of the brightest sample, which a table's smoothness is weighed by."""
 _SAME_NOISE = 0.01
 """Relative change of the noise estimate below which no further round is made."""
 
@@ -51,11 +53,15 @@ def search_in_rounds(
         seeds: where to start from, instead of looking for it.
     """
     start = to_entries(task.parameters)
-    has_priors = any(p.prior is not None for p in asked)
-    if task.loss == "linear" and not has_priors and problem.samples.clipped is None:
+    known = _known(task, asked)
+    if task.loss == "linear" and not len(known.mean) and problem.samples.clipped is None:
         return problem, search(problem, start, asked, task.solver, task.max_steps, seeds=seeds)
     believing = replace(problem.samples, clipped=None)
-    rough = replace(problem, samples=believing).rough()
+    begun = problem.model
+    if known.smooth.any():  # a table with nothing known of it would run to its bounds first
+        guessed = known.where(known.smooth).priced(_FIRST_NOISE * problem.light_max)
+        begun = replace(begun, prior=guessed)
+    rough = replace(problem, samples=believing, model=begun).rough()
     end = search(rough, start, asked, task.solver, task.max_steps, seeds=seeds, last=False)
     noise = 0.0
     # Cauchy has valleys of its own; Huber, which has none, shows it the right one.
@@ -69,7 +75,7 @@ def search_in_rounds(
         noise = found
         with float64():
             priced = Loss(losses.pop() if losses else task.loss, jnp.asarray(noise))
-        prior = _prior(asked, noise, len(start))
+        prior = known.priced(noise) if len(known.mean) else None
         problem = replace(problem, model=replace(problem.model, loss=priced, prior=prior))
         end = search(
             problem.rough(),
@@ -102,10 +108,45 @@ def noise_of(
     return max(1.4826 * float(np.median(np.abs(known))), least)
 
 
-def _prior(asked: Sequence[FitParameter], noise: float, size: int) -> PriorTerm | None:
-    mean, weight = np.zeros(size), np.zeros(size)
-    for p in asked:
-        if p.prior is not None:
-            mean[p.entries[0]], weight[p.entries[0]] = p.prior.mean, (noise / p.prior.sigma) ** 2
-    with float64():
-        return PriorTerm(jnp.asarray(mean), jnp.asarray(weight)) if weight.any() else None
+@dataclass(frozen=True)
+class _Known:
+    """What was known before: rows · entries is normal."""
+
+    rows: Float[np.ndarray, "r e"]
+    mean: Float[np.ndarray, " r"]
+    sigma: Float[np.ndarray, " r"]
+    smooth: Bool[np.ndarray, " r"]
+    """It is a table's that differs little from place to place, which nobody had to say."""
+
+    def where(self, chosen: Bool[np.ndarray, " r"]) -> "_Known":
+        parts = (self.rows, self.mean, self.sigma, self.smooth)
+        return _Known(*(part[chosen] for part in parts))
+
+    def priced(self, noise: float) -> PriorTerm:
+        """As a part of the square sum of samples with a noise."""
+        with float64():
+            weight = (noise / self.sigma) ** 2
+            return PriorTerm(*(jnp.asarray(part) for part in (self.rows, self.mean, weight)))
+
+
+def _known(task: Task, asked: Sequence[FitParameter]) -> _Known:
+    size = len(to_entries(task.parameters))
+    found = [({p.entries[0]: 1.0}, p.prior.mean, p.prior.sigma, False) for p in asked if p.prior]
+    free = {entry for p in asked for entry in p.entries}
+    own = {p.family for p in asked if p.prior}
+    for family, about in task.layout.kind.PARAMETERS.items():
+        if about.smooth is None or family in own:
+            continue
+        part = task.layout.slices[family]
+        for one, other in about.smooth.neighbours:
+            # One past the end is the number 1.
+            ends = [part.start + k for k in (one, other) if k < about.size]
+            if not free.isdisjoint(ends):
+                signs = dict(zip(ends, (1.0, -1.0), strict=False))
+                found.append((signs, float(len(ends) == 1), about.smooth.sigma, True))
+    rows = np.zeros((len(found), size))
+    for row, (signs, *_) in zip(rows, found, strict=True):
+        for entry, sign in signs.items():
+            row[entry] = sign
+    mean, sigma, smooth = (np.array([part[k] for part in found]) for k in (1, 2, 3))
+    return _Known(rows, mean.astype(float), sigma.astype(float), smooth.astype(bool))

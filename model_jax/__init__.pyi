@@ -20,6 +20,7 @@ from ._look import Separable as Separable
 from ._look import parameter as parameter
 from ._parameter import RESPONSE_PARAMETERS as RESPONSE_PARAMETERS
 from ._parameter import Parameter as Parameter
+from ._parameter import Smooth as Smooth
 from ._response import Response as Response
 from ._response import record as record
 from ._scene import Atmosphere as Atmosphere

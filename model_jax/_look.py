@@ -25,10 +25,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
+from jaxtyping import Float
 
 from ._errors import InputError, shown
 from ._fields import Fields
-from ._parameter import RESPONSE_PARAMETERS, Parameter, Shape
+from ._parameter import RESPONSE_PARAMETERS, Parameter, Shape, Smooth
 from ._shapes import Scalar, Three, converter
 
 Blend = Literal["add", "over", "premultiplied"]
@@ -62,15 +63,18 @@ def parameter(
     mean_one: bool = False,
     of: str | None = None,
     source: str = "",
+    smooth: Smooth | None = None,
 ) -> Any:
     """A parameter of a look, as the value of an annotated field of its class.
 
     Args:
         meaning: for reports, without a full stop.
         default: a number, or as many as the shape says; within the range.
-        unit, lower, upper, scale, shape, mean_one, of, source: as `Parameter` says.
+        unit, lower, upper, scale, shape, mean_one, of, source, smooth: as `Parameter` says.
     """
-    about = Parameter(meaning, unit, lower, upper, default, scale, shape, mean_one, of, source)
+    about = Parameter(
+        meaning, unit, lower, upper, default, scale, shape, mean_one, of, source, smooth=smooth
+    )
     return eqx.field(default=default, converter=_Convert(), metadata={_ABOUT: about})
 
 
@@ -147,6 +151,8 @@ class Look(eqx.Module):
     left out only by another program there are none."""
     CHOICES: ClassVar[tuple[str, ...]] = ()
     """Terms that a fit chooses among where nobody names any, those that are cheap first."""
+    PICTURE: ClassVar[str] = ""
+    """Key of scene files that names a picture which parameters are taken from (`of_picture`)."""
     GLSL: ClassVar[str | None] = None
     """Text of its twin; None: the file NAME.glsl beside the module."""
 
@@ -189,6 +195,14 @@ class Look(eqx.Module):
         for name in terms:
             raise InputError(f"look {cls.NAME}: has no term {shown(name)}; it has none at all")
         return cls
+
+    @classmethod
+    def of_picture(cls, picture: Float[np.ndarray, "h w 4"]) -> dict[str, Any]:
+        """Values of the parameters that a picture stands for, by name.
+
+        Raises `InputError` for one that cannot.
+        """
+        raise InputError(f"look {cls.NAME}: is made of no picture")
 
     @abstractmethod
     def air(self, fields: Fields) -> tuple[Any, Any]:
@@ -254,8 +268,7 @@ _TAKEN = {
     # What a look has itself.
     *("background", "air", "NAME", "PARAMETERS", "NEEDS", "LINEAR_IN", "ROUNDINGS", "BLEND"),
     *("SEPARABLE", "AMPLITUDE", "GROUND", "GLSL", "TERMS", "TERM_NEEDS", "TERM_OFF", "CHOICES"),
-    "LIGHTS_GROUND",
-    "with_terms",
+    *("LIGHTS_GROUND", "PICTURE", "with_terms", "of_picture"),
     # Keys of scene files and exports.
     *("kind", "look", "verdict", "warnings", "color", "width_unit"),
     *("atmosphere_path", "atmosphere_height", "planet_radius"),
@@ -312,6 +325,13 @@ def _named(look: str, name: str, field: Any) -> Parameter:
     if np.shape(about.default) not in about.shapes:
         forms = " or ".join(_form(shape) for shape in about.shapes)
         raise InputError(f"{where} has the default {shown(about.default)}; give {forms}")
+    if about.smooth is not None:
+        reach = {k for pair in about.smooth.neighbours for k in pair}
+        if not table or not reach <= set(range(about.size + 1)) or not about.smooth.sigma > 0:
+            raise InputError(
+                f"{where} is smooth otherwise than a table of {about.size} can be; give pairs of "
+                f"0 to {about.size} and a sigma above 0"
+            )
     if not about.lower < about.upper:
         raise InputError(f"{where} has no room between {about.lower:g} and {about.upper:g}")
     return about

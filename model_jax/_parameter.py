@@ -19,6 +19,26 @@ LENGTH = "length"
 
 
 @dataclass(frozen=True)
+class Smooth:
+    """What is known of a table before any photo: numbers of neighbours differ by little."""
+
+    neighbours: tuple[tuple[int, int], ...]
+    """Pairs of places in the table. One place past its end stands for the number 1, where a table
+    is of shares of what is not in it."""
+    sigma: float
+    """Standard deviation of their differences."""
+
+    @classmethod
+    def grid(cls, rows: int, columns: int, sigma: float) -> "Smooth":
+        """Of a table of rows × columns, row by row: all that are side by side, or above each
+        other."""
+        places = [(r, c) for r in range(rows) for c in range(columns)]
+        beside = [(r * columns + c, r * columns + c + 1) for r, c in places if c + 1 < columns]
+        above = [(r * columns + c, (r + 1) * columns + c) for r, c in places if r + 1 < rows]
+        return cls((*beside, *above), sigma)
+
+
+@dataclass(frozen=True)
 class Parameter:
     """What there is to know of a parameter besides its value."""
 
@@ -42,6 +62,8 @@ class Parameter:
     least: float = -math.inf
     """A fit goes no lower, unless it starts there or its bounds ask for it: of what may be below in
     a picture somebody makes, and means something else where a photo seems to want it."""
+    smooth: Smooth | None = None
+    """A prior that a fit has of a table, unless it is given another, or traced by JAX."""
 
     @property
     def size(self) -> int:

@@ -6,9 +6,9 @@
 
 Header: airlight.reference, airlight.width_unit, airlight.color, airlight.view (JSON: how the
 pixels' rays pass planet and shadows, `model_jax.Layers.view`), airlight.surface ("albedo" where it
-is not lit), airlight.near, airlight.far,
-airlight.depth ("eye", "window", "reversed" or "log"), airlight.scene (JSON) and
-airlight.scene_hash.
+is not lit), airlight.near, airlight.far, airlight.depth ("eye", "window", "reversed" or "log"),
+airlight.scene (JSON) and airlight.scene_hash; of a picture airlight.look and airlight.blend: what
+its look does with alpha (`Look.BLEND`).
 
 Files of other renderers need `front.Z` and `back.Z` only: eye depths, or coded ones with near and
 far in the header or given by the caller.
@@ -22,7 +22,7 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import Float
 
-from model_jax import ENCODINGS, DepthTextures, Encoding, InputError, Layers, Scene
+from model_jax import ENCODINGS, DepthTextures, Encoding, InputError, Layers, Look, Scene
 from model_jax._errors import shown
 from model_jax._kinds import need, need_array, need_number
 from model_jax._shapes import Rgba
@@ -35,9 +35,14 @@ from ._scene_file import scene_hash, scene_record
 
 
 def write_layers(
-    path: PathLike, layers: Layers, scene: Scene | None = None, picture: Rgba | None = None
+    path: PathLike,
+    layers: Layers,
+    scene: Scene | None = None,
+    picture: Rgba | None = None,
+    look: Look | None = None,
 ) -> None:
-    """Write layers, float32, with the scene in the header; `picture` becomes R, G, B and A.
+    """Write layers, float32, with the scene in the header; `picture` becomes R, G, B and A, and the
+    header says of which look it is.
 
     The file appears whole or not at all; raises `InputError` when it cannot be written.
     """
@@ -77,14 +82,25 @@ def write_layers(
         attributes["airlight.view"] = json.dumps(_plain(layers.view))
     if scene is not None:
         attributes |= scene_attributes(scene)
-    write_channels(path, channels, attributes)
+    write_channels(path, channels, attributes | _look_attributes(look))
 
 
-def write_picture(path: PathLike, picture: Rgba, scene: Scene | None = None) -> None:
-    """Write a picture, linear light [h, w, 4] or [h, w, 3], as float32 EXR."""
+def write_picture(
+    path: PathLike, picture: Rgba, scene: Scene | None = None, look: Look | None = None
+) -> None:
+    """Write a picture, linear light [h, w, 4] or [h, w, 3], as float32 EXR; the header says of
+    which look it is, and how its alpha blends."""
     if scene is not None:
         need("scene", scene, Scene)
-    write_channels(path, picture_channels(picture), scene_attributes(scene) if scene else {})
+    attributes = _look_attributes(look) | (scene_attributes(scene) if scene else {})
+    write_channels(path, picture_channels(picture), attributes)
+
+
+def _look_attributes(look: Look | None) -> dict[str, str | float | tuple[float, ...]]:
+    if look is None:
+        return {}
+    need("look", look, Look)
+    return {"airlight.look": look.NAME, "airlight.blend": look.BLEND}
 
 
 def read_layers(

@@ -1,29 +1,26 @@
-"""Equirectangular maps on disk: the planet's albedo, relief and water, as float arrays.
+"""Pictures on disk as float arrays: the planet's albedo, relief and water, and a look's table.
 
-Both have row 0 at the north pole and column 0 at -180 degrees of longitude. A file is read by what
-it contains, not by its name, and as it is stored: an EXIF orientation does not turn it.
+Maps are equirectangular and have row 0 at the north pole and column 0 at -180 degrees of longitude.
+A file is read by what it contains, not by its name, and as it is stored: an EXIF orientation does
+not turn it.
 """
 
 import os
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Shaped
 from PIL.JpegImagePlugin import JpegImageFile
 
-from model_jax import InputError, Planet, Scene, Srgb
+from model_jax import InputError, Planet, Srgb
 
-from ._context import check_texture_size
 from ._exr import MAGIC as EXR
 from ._exr import read_channels
 from ._files import JPEG, PNG, TIFF, check_file, decoding
 from ._tiff import check_size, read_page
-
-if TYPE_CHECKING:
-    import moderngl
 
 MAX_PIXELS = 2**28
 """Largest map read, 32768×8192: a small damaged or hostile file can claim any size."""
@@ -109,7 +106,7 @@ def load_water(path: str) -> Float[np.ndarray, "h w"]:
 
     Raises `InputError` as `load_relief`, for float numbers, and for colour without alpha.
     """
-    samples, top = _read(path, alpha=True)
+    samples, top = _read(path, "alpha")
     if top is None:
         raise InputError(
             f"{path}: holds {samples.dtype} numbers; save the mask of water as a grey PNG"
@@ -136,13 +133,33 @@ class _Stored(NamedTuple):
     """The highest code of a picture; None where samples are numbers."""
 
 
-def _read(path: str, *, alpha: bool = False) -> _Stored:
-    """What a file holds; `alpha`: of a PNG that has an alpha channel, that alone."""
+def load_gradient(path: str) -> Float[np.ndarray, "h w 4"]:
+    """Red, green, blue and alpha of a look's table as stored, codes over the highest, float32.
+
+    PNG, TIFF or JPEG of at most 16 bits; alpha is 1 where there is none, as in all but PNGs.
+    Raises `InputError` for a file that is missing, damaged or larger than `MAX_PIXELS`, and for
+    numbers that are no codes.
+    """
+    samples, top = _read(path, "all")
+    if top is None:
+        raise InputError(f"{path}: holds {samples.dtype} numbers; save the gradient as a PNG")
+    values = samples.astype(np.float32) / np.float32(top)
+    colours = 3 if values.shape[-1] >= 3 else 1
+    alpha = values[..., colours:] if values.shape[-1] > colours else np.ones_like(values[..., :1])
+    color = np.broadcast_to(values[..., :colours], (*values.shape[:2], 3))
+    return np.concatenate([color, alpha], axis=-1)
+
+
+Channels = Literal["colour", "alpha", "all"]
+
+
+def _read(path: str, keep: Channels = "colour") -> _Stored:
+    """What a file holds. Of a PNG with an alpha channel: the other channels, that alone, or all."""
     file = check_file(path)
     with open(file, "rb") as stream:
         start = stream.read(8)
     readers: tuple[tuple[bytes | tuple[bytes, ...], Callable[[Path], _Stored]], ...] = (
-        (PNG, partial(_read_png, alpha=alpha)),
+        (PNG, partial(_read_png, keep=keep)),
         (JPEG, _read_jpeg),
         (TIFF, _read_tiff),
         (EXR, _read_exr),
@@ -157,7 +174,7 @@ def _read(path: str, *, alpha: bool = False) -> _Stored:
         return reader(file)
 
 
-def _read_png(path: Path, *, alpha: bool) -> _Stored:
+def _read_png(path: Path, keep: Channels) -> _Stored:
     import imagecodecs  # Pillow keeps 8 of the 16 bits of colour PNGs
 
     data = path.read_bytes()
@@ -167,8 +184,9 @@ def _read_png(path: Path, *, alpha: bool) -> _Stored:
     samples = samples.reshape(height, width, -1)
     channels = samples.shape[-1]
     colours = 3 if channels >= 3 else 1  # the rest is alpha
-    kept = slice(colours, None) if alpha and channels > colours else slice(colours)
-    return _Stored(samples[..., kept], int(np.iinfo(samples.dtype).max))
+    kept = {"colour": slice(colours), "alpha": slice(colours, None), "all": slice(None)}
+    chosen = kept[keep if channels > colours else "colour"]
+    return _Stored(samples[..., chosen], int(np.iinfo(samples.dtype).max))
 
 
 def _read_jpeg(path: Path) -> _Stored:
@@ -235,37 +253,3 @@ def _read_npy(path: Path) -> _Stored:
             )
         heights = np.fromfile(stream, dtype, count).reshape(shape, order="F" if by_columns else "C")
     return _Stored(heights[..., None], None)
-
-
-def upload_maps(
-    context: "moderngl.Context", scene: Scene, *, water: bool = False
-) -> dict[str, Any]:
-    """Textures of relief and albedo, and of water if asked for, by the names of their samplers; a
-    colour needs none."""
-    maps = {}
-    if scene.planet.relief is not None:
-        heights = relief_heights(scene.planet)
-        rows, columns = heights.shape
-        check_texture_size(context, scene.planet.relief, columns, rows)
-        relief = context.texture((columns, rows), 1, heights.tobytes(), dtype="f4")
-        relief.repeat_y = False
-        maps["relief"] = relief
-    if isinstance(scene.planet.albedo, str):
-        maps["albedo"] = _smooth(context, scene.planet.albedo, load_albedo(scene.planet.albedo))
-    if water and scene.planet.water is not None:
-        mask = load_water(scene.planet.water)[..., None]
-        maps["water"] = _smooth(context, scene.planet.water, mask)
-    return maps
-
-
-def _smooth(context: "moderngl.Context", path: str, pixels: Float[np.ndarray, "h w c"]) -> Any:
-    """A texture of half floats that is averaged where it is seen small."""
-    import moderngl
-
-    rows, columns, channels = pixels.shape
-    check_texture_size(context, path, columns, rows)
-    texture = context.texture((columns, rows), channels, pixels.tobytes(), dtype="f2", alignment=1)
-    texture.build_mipmaps()
-    texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
-    texture.repeat_y = False
-    return texture

@@ -32,7 +32,7 @@ from ._choices import Source
 from ._depth_format import Storage
 from ._frame import Frame
 from ._looks import look_text, look_uniforms
-from ._maps import upload_maps
+from ._map_textures import upload_maps
 from ._mesh import shadow_mesh, sphere_mesh
 from ._shaders import look_program, program
 from ._uniforms import aim_uniforms, cone_uniforms, defines_of

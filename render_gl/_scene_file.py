@@ -47,6 +47,7 @@ from model_jax._kinds import need
 from model_jax._shapes import converter
 
 from ._files import PathLike, check_file
+from ._maps import load_gradient
 
 MAX_BYTES = 2**16
 """Largest scene file: 40 times those of the examples, or 1,700 occluders."""
@@ -193,7 +194,7 @@ def _build(file: Path, document: dict[str, Any], asked: type[Look] | None) -> Sc
     return SceneFile(
         path=file,
         scene=scene,
-        look=_look(tables.get("look", {}), asked),
+        look=_look(tables.get("look", {}), asked, file.parent),
         photo=PhotoSettings(
             path=beside("photo", "path"),
             tone_curve=None if curve is None else parse_tone_curve(curve),
@@ -203,9 +204,9 @@ def _build(file: Path, document: dict[str, Any], asked: type[Look] | None) -> Sc
     )
 
 
-def _look(table: dict[str, Any], asked: type[Look] | None) -> Look:
+def _look(table: dict[str, Any], asked: type[Look] | None, folder: Path) -> Look:
     """The look of a [look] table; of another kind than the one asked for it says nothing."""
-    own = asked is not None and table.keys() <= asked.PARAMETERS.keys()
+    own = asked is not None and table.keys() <= {*asked.PARAMETERS, asked.PICTURE}
     name = table.get("kind", asked.NAME if asked is not None and own else LayersLook.NAME)
     if not isinstance(name, str):
         raise InputError(f"look.kind: {shown(name)} must be a string; name a look")
@@ -219,19 +220,31 @@ def _look(table: dict[str, Any], asked: type[Look] | None) -> Look:
         )
     kind = find_look(name) if asked is None else asked
     _check_table("look", table, _look_keys(kind))
-    return kind(**{key: value for key, value in table.items() if key != "kind"})
+    values = {key: value for key, value in table.items() if key not in ("kind", kind.PICTURE)}
+    if kind.PICTURE in table:
+        path = _path(f"look.{kind.PICTURE}", folder, table[kind.PICTURE])
+        try:
+            values = kind.of_picture(load_gradient(path)) | values
+        except InputError as error:
+            raise InputError(f"look.{kind.PICTURE}: {error}") from None
+    return kind(**values)
 
 
 def _look_keys(kind: type[Look]) -> dict[str, tuple[str, ...]]:
     """Keys of the [look] table of a kind, and what their values must be."""
     forms: dict[tuple[int, ...], str] = {(): _NUMBER, (3,): _VECTOR}
-    return {"kind": (_TEXT,)} | {
-        name: tuple(
-            forms[shape] if shape in forms else f"a list of {shape[0]} numbers"
-            for shape in about.shapes
-        )
-        for name, about in kind.PARAMETERS.items()
-    }
+    picture = {kind.PICTURE: (_TEXT,)} if kind.PICTURE else {}
+    return (
+        {"kind": (_TEXT,)}
+        | picture
+        | {
+            name: tuple(
+                forms[shape] if shape in forms else f"a list of {shape[0]} numbers"
+                for shape in about.shapes
+            )
+            for name, about in kind.PARAMETERS.items()
+        }
+    )
 
 
 def _camera(table: dict[str, Any]) -> Camera:

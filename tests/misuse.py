@@ -33,6 +33,7 @@ PASSED_OVER = {
     "Parameter": "what a look says of its parameters, checked with the look",
     "parameter": "likewise",
     "Separable": "likewise",
+    "Smooth": "likewise",
     "Look": "is abstract: a look is a subclass of it",
     "Fields": "what a look is given",
     "WidthRanges": "an answer",

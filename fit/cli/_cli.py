@@ -117,7 +117,7 @@ def render(
         layers, picture = draw_scene(drawn, file.look, source, depth_format)
         step("writing")
         if suffix == ".exr":
-            render_gl.write_layers(out, layers, drawn, picture)
+            render_gl.write_layers(out, layers, drawn, picture, file.look)
         else:
             write_png(out, picture)
     camera = drawn.camera
@@ -307,12 +307,9 @@ def check(
         step("drawing and comparing")
         found = render_gl.check_scene(file.scene, file.look, depth, source)
         step("writing")
-        for name, picture in (
-            ("glsl", found.parity.glsl),
-            ("jax", found.parity.jax),
-            ("difference", found.parity.difference),
-        ):
-            render_gl.write_picture(folder / f"{name}.exr", picture[..., :4], file.scene)
+        for name in ("glsl", "jax", "difference"):
+            air = getattr(found.parity, name)[..., :4]
+            render_gl.write_picture(folder / f"{name}.exr", air, file.scene, file.look)
     if as_json:
         print(json.dumps(found.summary() | {"out": str(folder)}, allow_nan=False))
     else:

@@ -100,7 +100,7 @@ def write_photo(
     del layers
     give_back()
     picture = np.moveaxis(planes, 0, -1)
-    render_gl.write_picture(folder / f"image{ending}", picture, view.scene)
+    render_gl.write_picture(folder / f"image{ending}", picture, view.scene, result.look)
     section = photo_section(
         view.name,
         view.photo,

@@ -35,7 +35,7 @@ from .._compile import float64
 from ..photo._camera import SEED, JpegCamera, left_over, near_used
 from ..photo._columns import Columns, PhotoLike, size_of, take_columns
 from ..photo._photo import Photo
-from ..solve._model import Model, PriorTerm
+from ..solve._model import Model
 from ..solve._parameters import Entries, FitParameter, is_outside
 from ..solve._polish import gauss_newton
 from ..solve._problem import Point, Problem
@@ -327,6 +327,6 @@ def _reminded(model: Model, here: Entries, noise: float, rng: np.random.Generato
     assert prior is not None
     weight = np.asarray(prior.weight)
     sigma = np.where(weight > 0, noise / np.sqrt(np.where(weight > 0, weight, 1)), 0)
-    mean = here + sigma * rng.normal(size=len(here))
+    mean = np.asarray(prior.rows) @ here + sigma * rng.normal(size=len(weight))
     with float64():
-        return replace(model, prior=PriorTerm(jnp.asarray(mean), prior.weight))
+        return replace(model, prior=replace(prior, mean=jnp.asarray(mean)))

@@ -100,8 +100,8 @@ def find_doubts(
     length = np.linalg.norm(influence, axis=1)
     length = np.where(length > 0, length, 1.0)
     slopes_of = np.linalg.pinv(influence / length[:, None]) / length
-    weight = np.zeros(len(directions)) if known is None else np.asarray(known.weight)
-    prior = (directions.T * weight) @ directions
+    size = directions.shape[1]
+    prior = np.zeros((size, size)) if known is None else known.curvature(directions)
     nobody = np.zeros(0, np.intp)
     unit = float(layers[0].width_unit)
     found: list[Misfit] = []

@@ -143,7 +143,7 @@ def spread_of(
     scores, squares, hessian = _block_sums(point, numbers)
     prior = np.zeros((p, p))
     if prior_of is not None:
-        prior = (point.directions.T * np.asarray(prior_of.weight)) @ point.directions
+        prior = prior_of.curvature(point.directions)
         hessian = hessian + prior
     whiten = inverse_root(squares.sum(axis=0) + prior)
     leverage = whiten.T @ squares @ whiten

@@ -42,23 +42,30 @@ def find_flat(
     point: Point,
     gram: Float[np.ndarray, "q q"],
     moved: Sequence[tuple[FitParameter, ...]],
-) -> Flat | None:
-    """The flattest direction, if rounding explains what is left of it; None if all is told."""
+) -> tuple[Flat, ...]:
+    """The flattest direction, if rounding explains what is left of it; none if all is told.
+
+    Of tables all numbers at once that no pixel sees: each would cost a fit of the rest.
+    """
     vector = point.vector
     curved = gram[:-1, :-1]
-    for column, parameters in enumerate(moved):
-        if not curved[column, column] > 0:
-            return Flat(parameters, _no_effect(point, parameters[0]))
+    unseen = [parameters for k, parameters in enumerate(moved) if not curved[k, k] > 0]
+    if unseen:
+        of = [parameters[0].family for parameters in unseen]
+        known = point.problem.model.layout.families
+        tables = [isinstance(known[family].shape, int) for family in of]
+        chosen = [p for p, table in zip(unseen, tables, strict=True) if table] or unseen[:1]
+        return tuple(Flat(parameters, _no_effect(point, parameters[0])) for parameters in chosen)
     if len(curved) < 2:
-        return None
+        return ()
     scaled, size = unit_diagonal(curved)
     values, vectors = np.linalg.eigh(scaled)
     if values[0] > _threshold(point.problem) ** 2:
-        return None
+        return ()
     part = vectors[:, 0]
     members = [int(j) for j in np.flatnonzero(np.abs(part) > TAKES_PART)]
     last = moved[members[-1]]
-    return Flat(last, _words(vector, part / size, members, moved))
+    return (Flat(last, _words(vector, part / size, members, moved)),)
 
 
 def _threshold(problem: Problem) -> float:

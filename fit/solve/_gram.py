@@ -181,7 +181,8 @@ def _weigh_tile(
 
 
 def _prior_gram(entries: Any, directions: Any, prior: PriorTerm) -> Float[jax.Array, "q q"]:
-    rows = jnp.concatenate([directions.T, (jnp.asarray(entries) - prior.mean)[None]])
+    along, off = prior.rows @ directions, prior.rows @ jnp.asarray(entries) - prior.mean
+    rows = jnp.concatenate([along.T, off[None]])
     return (rows * prior.weight[None]) @ rows.T
 
 

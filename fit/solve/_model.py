@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from model_jax import Look, Response, record
@@ -19,10 +20,17 @@ from ._samples import Tile
 
 
 class PriorTerm(eqx.Module):
-    """Square sum that priors add: Σ weight (entry - mean)²."""
+    """Square sum that priors add: Σ weight (rows · entries - mean)²."""
 
-    mean: Float[AnyArray, " e"]
-    weight: Float[AnyArray, " e"]
+    rows: Float[AnyArray, "r e"]
+    """An entry each, or the difference of two."""
+    mean: Float[AnyArray, " r"]
+    weight: Float[AnyArray, " r"]
+
+    def curvature(self, directions: Float[np.ndarray, "e p"]) -> Float[np.ndarray, "p p"]:
+        """Half the second derivative of the square sum along directions."""
+        along = np.asarray(self.rows) @ directions
+        return np.asarray((along.T * np.asarray(self.weight)) @ along)
 
 
 class Model(eqx.Module):

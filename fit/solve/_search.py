@@ -112,10 +112,11 @@ def search(  # long: one loop, and each of its branches changes what the next ro
             rough, held, candidates = problem.whole(), vector, [vector]
             continue
         found = find_flat(Point(problem, vector, directions), gram, moved)
-        if found is not None:
-            flat.append(found)
-            free = _without(free, found.held)
-            held = settle_shares(_restored(vector, start, found.held, parameters), free, parameters)
+        if found:
+            flat += found
+            gone = [p for one in found for p in one.held]
+            free = _without(free, gone)
+            held = settle_shares(_restored(vector, start, gone, parameters), free, parameters)
             candidates = None
             continue
         margin = 1e-2 * CHECK * sample_variance(problem, gram) + problem.rounding

@@ -10,9 +10,12 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
+from .._errors import InputError
 from .._fields import Fields
 from .._look import Look, parameter
+from .._parameter import Smooth
 from .._phase import cheap_cornette_shanks
 from .._safe import safe_sqrt
 from .._shapes import AnyArray, Scalar, Three
@@ -23,7 +26,10 @@ _SOURCE = "document 004"
 BRIGHTNESSES, HEIGHTS = 8, 4
 """Nodes of the table along brightness, 0 to 1, and along height, 0 at the air's edge, 1 at the
 horizon of the ground."""
-LIGHT_DISTANCE = 0.016914558667664814
+EXPOSURE = 1.5
+SMOOTH = 0.3
+"""Standard deviation of the difference of neighbours in a table, as a fit knows it before."""
+LIGHT_DISTANCE = 300**0.5 / 1024
 """The document's light at (10, 10, 10) inside a planet of radius 1024, in its radii."""
 
 # Of Earth: blue day, whiter towards the horizon; a red dusk; shares of the horizon's at full light.
@@ -41,11 +47,12 @@ def _table(channel: str) -> Any:
     return parameter(
         f"{channel}, as a share of that at full light at the horizon: for each of {BRIGHTNESSES} "
         f"brightnesses 0 … 1 the {HEIGHTS} heights from the air's edge to the horizon, the last "
-        "of which is 1",
+        f"of which is 1; fits know that neighbours differ by {SMOOTH:g} (standard deviation)",
         lower=0.0,
         default=tuple(map(float, default)),
         shape=len(default),
         of="begin",
+        smooth=Smooth.grid(BRIGHTNESSES, HEIGHTS, SMOOTH),
     )
 
 
@@ -56,7 +63,7 @@ class GradientLook(TermedLook):
     falloff: Scalar = parameter(
         "how fast colour saturates: the document's exposure",
         lower=0.0,
-        default=1.5,
+        default=EXPOSURE,
         source=_SOURCE,
     )
     tint: Three = parameter(
@@ -139,8 +146,35 @@ class GradientLook(TermedLook):
         return {}
 
     @classmethod
+    def of_picture(cls, picture: Float[np.ndarray, "h w 4"]) -> dict[str, Any]:
+        """The table of a gradient texture as document 004 has it, for air of colour [1, 1, 1]:
+        columns from night to full light, rows from the air's edge down to the horizon.
+
+        What is stored counts as light, without a tone curve. Of a picture twice as fine as the
+        table or more it is the nearest one by least squares, else what is between its pixels.
+        """
+        nodes = np.asarray(picture, np.float64)
+        nodes = np.moveaxis(_nearest(np.moveaxis(nodes, 1, 0), BRIGHTNESSES), 0, 1)
+        nodes = _nearest(nodes, HEIGHTS)
+        nodes = np.maximum(np.moveaxis(nodes, 0, 1), 0)  # brightness, height
+        last = nodes[-1, -1]
+        if not (last > 0).all():
+            raise InputError(
+                "the picture's last pixel, full light at the horizon, has channels of 0, "
+                f"{np.round(last, 3).tolist()}; the table is of shares of them: make it brighter"
+            )
+        shares = (nodes / last).reshape(-1, 4)[:-1].T
+        strength = float(last[:3].mean())
+        return {
+            "falloff": EXPOSURE * strength,
+            "tint": last[:3] / strength,
+            "opacity": float(last[3]) / strength,
+        } | dict(zip(_TABLE, shares, strict=True))
+
+    @classmethod
     def facts_of(cls, terms: Sequence[str]) -> dict[str, Any]:
-        return {"NEEDS": (*GradientLook.NEEDS, "sun_cos")} if "mie" in terms else {}
+        facts: dict[str, Any] = {"PICTURE": "texture"} if "table" in terms else {}
+        return facts | ({"NEEDS": (*GradientLook.NEEDS, "sun_cos")} if "mie" in terms else {})
 
     def air(self, fields: Fields) -> tuple[Any, Any]:
         terms = terms_of(self)
@@ -242,6 +276,19 @@ def _shares(at: AnyArray, count: int) -> AnyArray:
     """Share of each of so many nodes between 0 and 1; places have one channel, at the end."""
     nodes = jnp.arange(count, dtype=at.dtype).reshape((1,) * (at.ndim - 1) + (count,))
     return jnp.maximum(1 - jnp.abs(jnp.clip(at, 0, 1) * (count - 1) - nodes), 0)
+
+
+def _nearest(lines: Float[np.ndarray, "n *rest"], count: int) -> Float[np.ndarray, "m *rest"]:
+    """So many nodes from 0 to 1 along the first axis, of pixels whose middles are known."""
+    middles = (np.arange(len(lines)) + 0.5) / len(lines)
+    flat = lines.reshape(len(lines), -1)
+    if len(lines) < 2 * count:
+        places = np.linspace(0, 1, count)
+        nodes = np.stack([np.interp(places, middles, line) for line in flat.T], axis=-1)
+    else:
+        share = np.maximum(1 - np.abs(middles[:, None] * (count - 1) - np.arange(count)), 0)
+        nodes = np.linalg.lstsq(share, flat, rcond=None)[0]
+    return nodes.reshape(count, *lines.shape[1:])
 
 
 def __getattr__(name: str) -> type[Look]:

@@ -10,6 +10,7 @@ import pytest
 
 from fit import fit
 from model_jax import Layers, analytic_layers, composite, find_look
+from model_jax.looks._gradient import SMOOTH
 from tests.model_jax.scenes import scene_of
 
 SHELL = 1200 / 1024 - 1
@@ -61,6 +62,51 @@ def test_what_a_picture_tells_is_found(terms: str) -> None:
             value = float(np.ravel(truth[family])["rgb".index(part) if part else 0])
             assert estimate.stderr is not None, name
             assert abs(estimate.value - value) < 5 * estimate.stderr, name
+
+
+@pytest.mark.full
+def test_a_table_is_found_from_a_flat_one() -> None:
+    """127 numbers; those that no light reaches stay as wide as they were known to be before."""
+    kind, layers = find_look("gradient+table+veil"), layers_for("gradient+table+veil")
+    truth = {name: TRUTH[name] for name in kind.PARAMETERS.keys() & TRUTH.keys()}
+    with jax.enable_x64(True):
+        light = np.asarray(composite(layers, kind(**truth)))[..., :3]
+    noise = np.random.default_rng(1).normal(scale=0.003, size=light.shape)
+    tables = ("red", "green", "blue", "cover")
+    start = kind(**dict.fromkeys(tables, np.ones(31)))
+    result = fit(light + noise, layers, start, sampling="point")
+    assert result.verdict == "converged", result.message
+    assert not result.left_out
+    for name in tables:
+        for k, value in enumerate(np.asarray(getattr(kind(), name))):
+            estimate = result.parameters[f"{name}.{k + 1}"]
+            assert estimate.stderr is not None
+            assert abs(estimate.value - value) < 4 * estimate.stderr
+    assert result.parameters["red.1"].stderr == pytest.approx(0.4, abs=0.1)
+    assert (result.parameters["red.31"].stderr or 1) < 0.01
+
+
+def test_what_is_known_of_a_table_is_of_neighbours() -> None:
+    """One number of a table among held ones is drawn to them: by normal distributions of the
+    differences to three, one of which is the 1 that the others are shares of."""
+    kind, layers = find_look("gradient+table"), layers_for("gradient+table")
+    flat = {name: np.full(31, 0.4) for name in ("red", "green", "blue", "cover")}
+    light = np.asarray(composite(layers, kind(**flat)))[..., :3]
+    noise = np.random.default_rng(1).normal(scale=0.003, size=light.shape)
+    # Of alpha before black space light says nothing: the prior alone is left.
+    result = fit(light + noise, layers, kind(**flat), free=["cover.31"], sampling="point")
+    estimate = result.parameters["cover.31"]
+    assert estimate.value == pytest.approx((0.4 + 0.4 + 1) / 3, abs=1e-6)
+    assert estimate.stderr == pytest.approx(SMOOTH / np.sqrt(3), rel=1e-3)
+    own = fit(
+        light + noise,
+        layers,
+        kind(**flat),
+        free=["cover.31", "falloff"],
+        priors={"cover.31": (0.9, 0.05)},
+        sampling="point",
+    )
+    assert own.parameters["cover.31"].value == pytest.approx(0.9, abs=1e-6)
 
 
 def test_far_from_the_shell_its_tweak_is_told_as_flat() -> None:

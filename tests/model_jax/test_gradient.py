@@ -78,6 +78,34 @@ def test_the_table_is_linear_between_its_nodes_and_held_at_its_edges() -> None:
     np.testing.assert_allclose(found, expected, atol=4 * 7 * 1.4 * 2**-24)
 
 
+@pytest.mark.parametrize("size", [(4, 8), (64, 256), (9, 17)])
+def test_a_picture_becomes_the_table(size: tuple[int, int]) -> None:
+    """A texture painted from a table, columns brightness and rows height, comes back; of one about
+    as coarse as the table its own bends between nodes are lost."""
+    rows, columns = size
+    v, u = ((np.arange(n) + 0.5) / n for n in (rows, columns))
+    smooth = np.linspace(0.2, 0.8, 8)[:, None, None] * np.linspace(0.3, 1.0, 4)[None, :, None]
+    table = smooth * [0.9, 0.7, 0.5, 1.0]
+    picture = sampled(table, *np.meshgrid(u, v))
+    made = look("table", **type(look("table")).of_picture(picture))
+    tables = [np.append(getattr(made, name), 1.0) for name in ("red", "green", "blue", "cover")]
+    found = np.stack(tables, axis=-1).reshape(8, 4, 4)
+    strength = np.append(made.falloff / 1.5 * np.asarray(made.tint), made.falloff / 1.5)
+    strength[3] *= made.opacity
+    # Outermost pixels' middles stand for the edges of a coarse one.
+    bound = 1e-12 if rows >= 8 and columns >= 16 else 0.15
+    np.testing.assert_allclose(found * strength, table, atol=bound)
+
+
+def test_a_picture_without_light_at_the_horizon_is_refused() -> None:
+    picture = np.ones((8, 16, 4))
+    picture[..., 2] = 0.0
+    with pytest.raises(InputError, match=r"last pixel.*channels of 0, \[1.0, 1.0, 0.0, 1.0\]"):
+        type(look("table")).of_picture(picture)
+    with pytest.raises(InputError, match="look layers: is made of no picture"):
+        find_look("layers").of_picture(picture)
+
+
 @pytest.mark.parametrize("terms", ["table", "table+mie"])
 def test_a_flat_table_is_the_look_without_it(terms: str) -> None:
     layers = analytic_layers(CASES["terminator"], np.float32, look())

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from model_jax import Look, Scene, composite, find_look
+from model_jax import InputError, Look, Scene, composite, find_look
 from render_gl import (
     check_scene,
     load_scene,
@@ -16,7 +17,9 @@ from render_gl import (
     write_layers,
 )
 from render_gl._depth_format import STORAGE
+from render_gl._exr import read_channels
 from render_gl._looks import look_text
+from render_gl._maps import load_gradient
 from render_gl._shaders import shader_source
 from render_gl._uniforms import defines_of
 from tests.data import REPOSITORY
@@ -105,7 +108,10 @@ def test_the_picture_is_what_composite_makes_of_its_layers(
     look = find_look(WHOLE)()
     layers, picture = render_layers_and_image(example(), look, form, source)
     np.testing.assert_allclose(composite(layers, look), picture, atol=1e-5)
-    write_layers(tmp_path / "layers.exr", layers, example())
+    write_layers(tmp_path / "layers.exr", layers, example(), picture, look)
+    _, header = read_channels(tmp_path / "layers.exr")
+    assert header["airlight.blend"] == "premultiplied"
+    assert header["airlight.look"] == WHOLE
     np.testing.assert_array_equal(
         composite(read_layers(tmp_path / "layers.exr"), look), composite(layers, look)
     )
@@ -138,3 +144,39 @@ def test_terms_that_are_not_there_are_not_compiled() -> None:
     for word in ("table_at", "asymmetry", "light_distance", "reach", "cover"):
         assert word not in plain
         assert word in look_text(find_look(WHOLE))
+
+
+def test_a_scene_names_the_texture_of_its_sky(tmp_path: Path) -> None:
+    """Codes over the highest, row 0 the air's edge; what is written beside it counts more."""
+    u, v = np.meshgrid(np.arange(256) / 255, np.arange(64) / 63)
+    painted = np.stack([0.2 + 0.6 * u, 0.8 - 0.3 * u, 0.4 + 0.5 * v, 0.3 + 0.7 * v], axis=-1)
+    Image.fromarray(np.round(255 * painted).astype(np.uint8)).save(tmp_path / "sky.png")
+    text = (EXAMPLES / "gradient.toml").read_text()
+    text = text.replace('"planet_albedo.jpg"', "[0.2, 0.2, 0.2]")
+    path = tmp_path / "scene.toml"
+    path.write_text(text.replace("falloff = 1.5", 'texture = "sky.png"'))
+    look = load_scene(path).look
+    light = look.falloff / 1.5 * np.asarray(look.tint)
+    np.testing.assert_allclose(light, [0.8, 0.5, 0.9], atol=0.01)
+    night = light * [look.red[0], look.green[0], look.blue[0]]
+    np.testing.assert_allclose(night, [0.2, 0.8, 0.4], atol=0.01)
+    assert look.cover[0] == pytest.approx(0.3, abs=0.01)
+    path.write_text(text.replace("stretch = 0.25", 'texture = "sky.png"'))
+    assert load_scene(path).look.falloff == 1.5
+    for wrong, says in (
+        ('texture = "none.png"', r"look.texture: .*none.png: no such file"),
+        ("texture = 3", r"look.texture: 3 must be a string"),
+        ('texture = "scene.toml"', r"look.texture: .*is no PNG, JPEG"),
+    ):
+        path.write_text(text.replace("falloff = 1.5", wrong))
+        with pytest.raises(InputError, match=says):
+            load_scene(path)
+
+
+def test_a_gradient_without_alpha_covers() -> None:
+    grey = load_gradient(str(EXAMPLES / "planet_water.png"))
+    assert grey.shape[-1] == 4
+    assert (grey[..., 3] == 1).all()
+    assert (grey[..., 0] == grey[..., 2]).all()
+    color = load_gradient(str(EXAMPLES / "planet_albedo.jpg"))
+    assert (color[..., 0] != color[..., 2]).any()
