@@ -51,7 +51,10 @@ def test_what_a_picture_tells_is_found(terms: str) -> None:
     with jax.enable_x64(True):
         light = np.asarray(composite(layers, kind(**truth)))[..., :3]
     noise = np.random.default_rng(1).normal(scale=0.003, size=light.shape)
-    result = fit(light + noise, layers, kind(), sampling="point")
+    # From the document's lamp next to the centre a fit may end where all air is opaque, for which
+    # alpha is nothing that can be told.
+    start = kind(light_distance=0.3) if "lamp" in terms else kind()
+    result = fit(light + noise, layers, start, sampling="point")
     # Without a veil alpha lies before black space.
     flat = set() if "veil" in terms else {"opacity"}
     assert {left.what for left in result.left_out} == flat
