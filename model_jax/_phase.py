@@ -1,5 +1,6 @@
-"""How light that air scatters is spread over directions: phase functions, 1 on
-average over all but for the cheap one.
+"""How light that air scatters is spread over directions: phase functions.
+
+Their average over all directions is 1, but for the cheap one's.
 
 All are functions of the cosine of the angle by which light is turned, 1 where it goes on as it
 came: towards a camera that looks at the sun.
@@ -36,16 +37,16 @@ def henyey_greenstein(cos: AnyArray, asymmetry: AnyArray) -> AnyArray:
     Twin: `henyey_greenstein` in `phase.glsl`.
     """
     size = jnp.abs(asymmetry)
-    squared = squared_distance(cos, asymmetry, size)
+    squared = squared_distance(cos, asymmetry)
     return (1 - size) * (1 + size) / (squared * jnp.sqrt(squared))
 
 
-def squared_distance(cos: AnyArray, asymmetry: AnyArray, size: AnyArray) -> AnyArray:
+def squared_distance(cos: AnyArray, asymmetry: AnyArray) -> AnyArray:
     """1 + g² - 2 g cos as a sum, of which neither part cancels where g and cos are near 1 or -1.
 
     Twin: `squared_distance` in `phase.glsl`.
     """
-    turned = jnp.where(asymmetry < 0, 1 + cos, 1 - cos)
+    size, turned = jnp.abs(asymmetry), jnp.where(asymmetry < 0, 1 + cos, 1 - cos)
     return jnp.maximum((1 - size) ** 2 + 2 * size * jnp.maximum(turned, 0), NEAREST)
 
 
@@ -60,6 +61,6 @@ def cheap_cornette_shanks(cos: AnyArray, asymmetry: AnyArray) -> AnyArray:
     Twin: `cheap_cornette_shanks` in `phase.glsl`.
     """
     size = jnp.abs(asymmetry)
-    squared = squared_distance(cos, asymmetry, size)
+    squared = squared_distance(cos, asymmetry)
     height = 1.5 * (1 - size) * (1 + size) / (2 + size * size)
     return height * (1 + cos * cos) / squared

@@ -27,6 +27,7 @@ BRIGHTNESSES, HEIGHTS = 8, 4
 """Nodes of the table along brightness, 0 to 1, and along height, 0 at the air's edge, 1 at the
 horizon of the ground."""
 EXPOSURE = 1.5
+"""The document's fExposure."""
 SMOOTH = 0.3
 """Standard deviation of the difference of neighbours in a table, as a fit knows it before."""
 LIGHT_DISTANCE = 300**0.5 / 1024
@@ -153,10 +154,9 @@ class GradientLook(TermedLook):
         What is stored counts as light, without a tone curve. Of a picture twice as fine as the
         table or more it is the nearest one by least squares, else what is between its pixels.
         """
-        nodes = np.asarray(picture, np.float64)
-        nodes = np.moveaxis(_nearest(np.moveaxis(nodes, 1, 0), BRIGHTNESSES), 0, 1)
-        nodes = _nearest(nodes, HEIGHTS)
-        nodes = np.maximum(np.moveaxis(nodes, 0, 1), 0)  # brightness, height
+        by_brightness = _nearest(np.swapaxes(np.asarray(picture, np.float64), 0, 1), BRIGHTNESSES)
+        by_height = _nearest(np.swapaxes(by_brightness, 0, 1), HEIGHTS)
+        nodes = np.maximum(np.swapaxes(by_height, 0, 1), 0)
         last = nodes[-1, -1]
         if not (last > 0).all():
             raise InputError(
