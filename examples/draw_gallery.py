@@ -22,7 +22,8 @@ from render_gl import load_scene, render_image
 HERE = Path(__file__).parent
 SIZE = (320, 256)
 DAY, DUSK = (0.8, -0.5, 0.1), (1.0, 0.12, 0.0)
-"""Where the sun is in pictures of faults: high, and below the ground's horizon."""
+"""Where the sun is in pictures of faults: high, and 7° below the horizontal, above the horizon of a
+camera in the air."""
 GALLERY: dict[str, dict[str, Any]] = {
     "layers": {"brightness": 4.0},
     "air+density+saturation": {"brightness": 150.0, "extinction": [60.0, 130.0, 300.0]},

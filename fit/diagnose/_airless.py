@@ -5,13 +5,12 @@ limb that a camera blurs looks much like thin air, and any look will fit it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Int
 
 from model_jax import Layers
-from model_jax._analytic import trace_view
 
 from .._of_photo import PhotoResult
 from .._result import LeftOut
@@ -19,6 +18,7 @@ from .._verdict import WELL_EXPLAINED
 from ..photo._columns import Columns, as_picture, fields_at, take_columns
 from ..photo._photo import Photo
 from ..photo._pixels import Pixels
+from ..photo._widths import with_shadows
 from ..solve._task import Task
 from ._alignment import known_pixels, misaligned
 from ._bare_limb import EVIDENCE, NO_BARE_LIMB, AirEvidence, find_air
@@ -134,7 +134,7 @@ def _ask(
     planet = np.asarray(layers.planet) != 0
     widths = []
     unit = float(task.layers[0].width_unit)
-    shaded = _shaded(task.given[number])
+    shaded = with_shadows(task.given[number])
     for field in fields_at(shaded, index, unit, ("lit", "dark")).values():
         full = np.zeros(np.shape(layers.front), np.float32)
         full.reshape(-1)[index] = field
@@ -147,18 +147,6 @@ def _ask(
         (0.0, 0.0, 0.0) if of.alignment is None else of.alignment.place,
         known_pixels(photo) & ~planet & ~np.asarray(layers.has_air),
     )
-
-
-def _shaded(layers: Layers) -> Layers:
-    """The layers with the shadow that their view knows of, where they were drawn for a look that
-    asks for none."""
-    view = layers.view
-    if layers.has_shadow or view is None or not view.cones:
-        return layers
-    *_, begin, until = trace_view(view, *np.shape(layers.front))
-    center = float(view.depth) - float(layers.reference)
-    depths = [np.asarray(depth) * float(view.radius) + center for depth in (begin, until)]
-    return replace(layers, shadow_front=depths[0], shadow_back=depths[1])
 
 
 def _why_none(air: AirEvidence) -> str:

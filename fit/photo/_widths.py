@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from model_jax import InputError, Layers
-from model_jax._analytic import trace
+from model_jax._analytic import trace, trace_view
 from model_jax._fields import OF_RAYS, OF_VIEW, fields_of, uses_shadow
 from model_jax._shapes import AnyArray
 from model_jax._view import pixel_slopes
@@ -61,6 +61,18 @@ def fields_at(
                 whole = found.setdefault(name, np.empty(index.size))
                 whole[start:end] = np.asarray(field)[0, : end - start]
     return found
+
+
+def with_shadows(layers: Layers) -> Layers:
+    """The layers with the shadow that their view knows of, where they were drawn for a look that
+    asks for none."""
+    view = layers.view
+    if layers.has_shadow or view is None or not view.cones:
+        return layers
+    *_, begin, until = trace_view(view, *np.shape(layers.front))
+    center = float(view.depth) - float(layers.reference)
+    depths = [np.asarray(depth) * float(view.radius) + center for depth in (begin, until)]
+    return replace(layers, shadow_front=depths[0], shadow_back=depths[1])
 
 
 def fields_between(
