@@ -46,6 +46,8 @@ class Canvas:
         """Width and rows of a band."""
         self.bottom = 0
         """Rows of the picture below it."""
+        self.drawn = 0
+        """Draw calls so far."""
         self.uniforms = uniforms_of(scene, storage.encoding)
         self.near, self.empty = plane_codes(scene, storage.encoding)
         cover = sphere_mesh(COVER_TRIANGLES)
@@ -166,6 +168,7 @@ class Canvas:
         shader = self._program("screen.vert", fragment, self.defines)
         assign_uniforms(shader, self.uniforms | more)
         self.context.vertex_array(shader, []).render(vertices=3)
+        self.drawn += 1
 
     def _program(self, vertex: str, fragment: str, defines: dict[str, int]) -> Any:
         return program(vertex, fragment, defines)
@@ -175,3 +178,4 @@ class Canvas:
         vertices, triangles = geometry
         content = [(vertices, "3f", "position")]
         self.context.vertex_array(shader, content, triangles).render()
+        self.drawn += 1

@@ -41,6 +41,20 @@ def draw(scene: Scene, look: Look, depth_format: DepthFormat, source: Source = "
     return on_gl(lambda context: _draw(context, scene, look, depth_format, source))
 
 
+def time_combine(scene: Scene, look: Look, depth_format: DepthFormat, repeats: int) -> list[float]:
+    """Seconds of repeated combine passes; raises as `draw`. The first compiles its shaders."""
+    scene, look = jax.tree.map(np.asarray, (scene, look))
+
+    def run(context: "moderngl.Context") -> list[float]:
+        try:
+            passes = Passes(context, scene, look, STORAGE[depth_format], "raster")
+            return passes.combine_again(repeats)
+        finally:
+            context.gc()
+
+    return on_gl(run)
+
+
 def _draw(
     context: "moderngl.Context",
     scene: Scene,

@@ -32,6 +32,8 @@ class Frame:
     """How much of the ground mirrors; None where nobody asks, or the scene does not know."""
     transmittance: Float[np.ndarray, "h w 3"] | None = None
     """How much of what lies behind passes the air; None where the look says nothing of it."""
+    drawn: int = 0
+    """Draw calls that it took."""
 
 
 def assign_uniforms(shader: "moderngl.Program", values: dict[str, Any]) -> None:

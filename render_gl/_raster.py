@@ -18,6 +18,7 @@ them. What the combine shader read is written out by shaders, so that JAX recomb
 numbers.
 """
 
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -125,7 +126,27 @@ class Passes(Canvas):
             nearer = np.maximum if self.storage.encoding == "reversed" else np.minimum
             shadows[:, 0] = nearer(shadows[:, 0], shadows[:, 1])
         unlit = lit and "UNLIT" in self.defines
-        return Frame(air, front, back, shadows, surface, unlit, planet, water, passed)
+        return Frame(air, front, back, shadows, surface, unlit, planet, water, passed, self.drawn)
+
+    def combine_again(self, repeats: int) -> list[float]:
+        """Seconds of the combine pass by itself, each until the driver says that it is done.
+
+        For pictures of one band; the passes before it are drawn once.
+        """
+        self.size = (self.scene.camera.width, self.scene.camera.height)
+        maps = upload_maps(self.context, self.scene, water=self.has_water)
+        atlas = self.shadow() if self.cones else None
+        ground, behind, *wet = self.planet(maps)
+        self.shell_back(behind)
+        self.context.finish()
+        seconds = []
+        for _ in range(repeats):
+            started = perf_counter()
+            self.combine(behind, atlas, [ground, *wet])
+            self.context.finish()
+            seconds.append(perf_counter() - started)
+            self.context.gc()
+        return seconds
 
     def _band_rows(self) -> int:
         """Rows of a band: even, for derivatives are taken in squares of pixels."""

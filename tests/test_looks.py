@@ -210,9 +210,7 @@ OWN = {f"model_jax/looks/_{name}.py" for name in ("layers", "air", "rim", "gradi
 OWN |= {f"render_gl/glsl/looks/{name}.glsl" for name in ("layers", "air", "rim", "gradient")}
 
 NAMES = {
-    "fit/bench/_case.py": "the race is run with the look `layers`, whose optimum is known",
-    "fit/bench/_peers.py": "likewise",
-    "fit/bench/_race.py": "likewise",
+    "fit/bench/_scenes.py": "synthetic photos are made by looks with known numbers",
     "model_jax/__init__.py": "shows how the package is used",
     "fit/diagnose/_patterns.py": "the word for how bright something is",
     "fit/report/templates/report.html": "the word for how bright something is",
@@ -230,6 +228,7 @@ GEOMETRY = {
     "render_gl/glsl/column.glsl",
     *(f"render_gl/glsl/{n}" for n in ("combine.frag", "depth.frag", "fields.glsl", "rays.glsl")),
     "render_gl/glsl/volume.vert",
+    "fit/bench/_exact.py",
     "fit/cli/_written.py",  # which pixels are mostly in shadow
     "fit/photo/_pixels.py",  # edges of the shadow
     "fit/photo/_widths.py",
@@ -254,9 +253,9 @@ def test_no_product_file_spells_the_papers_look() -> None:
 
 
 def test_no_product_file_asks_which_look_it_is() -> None:
-    """But the registry, what a scene or a call has when nobody says, and the race."""
+    """But the registry, what a scene or a call has when nobody says, and the benchmark."""
     allowed = {"model_jax/__init__.py", "model_jax/__init__.pyi", "model_jax/looks/_registry.py"}
     allowed |= {f"render_gl/_{name}.py" for name in ("render", "scene_file")}
     allowed |= {f"fit/{name}.py" for name in ("_fit", "cli/_job", "photo/_columns")}
-    allowed |= {f"fit/bench/_{name}.py" for name in ("case", "race")}
+    allowed.add("fit/bench/_scenes.py")
     assert spelled("LayersLook") <= allowed

@@ -1,1 +1,1 @@
-"""How fast a fit is, beside its peers."""
+"""Error against run time: renders, the combine step, fits and their peers."""

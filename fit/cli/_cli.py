@@ -25,6 +25,7 @@ from .._choices import LayerSource, LossName, SolverName, Where, check_steps
 from ..report._export import Format, export_text, write_export
 from ..report._fitted import read_fit
 from . import _assignments as assignments
+from ._bench import CostAxis, measure
 from ._drawing import NOTHING_IN_VIEW, draw_scene, in_view, parse_size, write_png
 from ._guard import command_line, devices_found, guard, tell
 from ._options import (
@@ -362,22 +363,22 @@ def looks(
 
 @app.command()
 def bench(
-    out: Annotated[str, typer.Option("-o", "--out", metavar="DIR", help="Folder for the tables.")],
-    quick: Annotated[bool, typer.Option(help="A sixteenth of the pixels; no large photo.")] = False,
+    out: Annotated[str, typer.Option("-o", "--out", metavar="DIR", help="Folder for the files.")],
+    quick: Annotated[
+        bool, typer.Option(help="Small pictures and fewer settings: a minute.")
+    ] = False,
+    scene: Annotated[
+        list[str] | None,
+        typer.Option(metavar="SCENE", help="A scene file, in place of those built in; repeatable."),
+    ] = None,
+    photo: Annotated[
+        str | None, typer.Option(metavar="PHOTO", help="Of the first scene, in place of its own.")
+    ] = None,
+    axis: Annotated[CostAxis, typer.Option(help="What charts count costs in.")] = "time",
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how fast a fit is, beside SciPy and optimistix, on this machine."""
-    folder = prepare_folder(out)
-    with computing(keep=False) as step:
-        from ..bench._race import run_bench
-
-        document = run_bench(folder, quick, step)
-    if as_json:
-        print(json.dumps(document, allow_nan=False))
-    else:
-        from ..report._terminal import print_bench
-
-        print_bench(console(), document, out)
+    """Measure error against run time: renders, the combine step, fits and their peers."""
+    measure(out, quick, scene or (), photo, axis, as_json)
 
 
 @app.command()

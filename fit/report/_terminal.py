@@ -84,31 +84,6 @@ def fit_html(document: dict[str, Any], width: int = 100) -> str:
     return console.export_html(code_format=form, inline_styles=True)
 
 
-def print_bench(console: Console, document: dict[str, Any], out: str) -> None:
-    """The rows of a benchmark."""
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("what", "pixels of air", "median", "from … to", "error"):
-        table.add_column(
-            name, justify="left" if name == "what" else "right", no_wrap=name != "what"
-        )
-    for row in document["rows"]:
-        times = [row[key] for key in ("median", "low", "high")]
-        median, low, high = ("" if t is None else f"{1e3 * t:,.0f}" for t in times)
-        what = Text(row["name"])
-        what.append(f"\n  {row['note']}" if row["note"] else "", style="dim")
-        table.add_row(
-            what,
-            f"{row['pixels']:,}" if row["pixels"] else "",
-            median and f"{median} ms",
-            low and f"{low} … {high}",
-            "" if row["error"] is None else number(row["error"], 2),
-        )
-    console.print(table)
-    machine = ", ".join(f"{name} {value}" for name, value in document["machine"].items())
-    console.print(machine, style="dim", markup=False, highlight=False)
-    console.print(f"{printable(out)}/fit-bench.csv, fit-bench.json", markup=False, highlight=False)
-
-
 def print_check(console: Console, summary: dict[str, Any], scene: str, folder: str) -> None:
     """Both halves of a cross-check."""
     parity, accuracy = summary["parity"], summary["accuracy"]

@@ -7,6 +7,8 @@ each independent of the others at the start (whitened), in coordinates that know
 Its own word on success is not taken: `_search` checks the end point.
 """
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,6 +41,9 @@ _SOLVERS: dict[SolverName, Any] = {
 TOLERANCE = 1e-12
 """Where a descent ends, absolute and relative, on numbers of order one: float64 has 2e-16, and 1e-8
 in the parameters is promised."""
+
+_ROOM = 256
+"""Least number of square sums that are kept of a descent."""
 
 FINISH = 1e-15
 """Where the exact Gauss–Newton steps at the end do: on, until they do nothing."""
@@ -125,11 +130,20 @@ def make_solver(name: object, tolerance: float = TOLERANCE) -> Solver:
 
 
 def descend(
-    chart: Chart, samples: Samples, model: Model, solver: Solver, max_steps: int
+    chart: Chart,
+    samples: Samples,
+    model: Model,
+    solver: Solver,
+    max_steps: int,
+    precision: Callable[[], AbstractContextManager[None]] = float64,
 ) -> Descent:
-    """The best vector that a solver finds from the chart's start; never worse than the start."""
+    """The best vector that a solver finds from the chart's start; never worse than the start.
+
+    precision: JAX's settings meanwhile; the samples are of that precision.
+    """
     p = len(chart.start)
-    with float64():
+    room = max(_ROOM, 1 << (max_steps - 1).bit_length())
+    with precision():
         atlas = Atlas(
             base=jnp.asarray(chart.base),
             matrix=jnp.asarray(chart.matrix),
@@ -142,7 +156,8 @@ def descend(
             whiten=jnp.asarray(np.eye(p)),
             shares=chart.shares,
         )
-        found = jax.device_get(_run(solver, atlas, samples, model, max_steps))
+        most = jnp.asarray(max_steps)
+        found = jax.device_get(_run(solver, atlas, samples, model, room, most))
     start, end, first, history, count = found
     costs = [float(first), *(float(c) for c in history if np.isfinite(c))]
     finite = bool(np.isfinite(end).all() and np.isfinite(costs[-1]))
@@ -167,7 +182,7 @@ def square_sums(
 
 @program
 def _run(
-    solver: Solver, atlas: Atlas, samples: Samples, model: Model, max_steps: int
+    solver: Solver, atlas: Atlas, samples: Samples, model: Model, room: int, most: jax.Array
 ) -> tuple[jax.Array, ...]:
     """Entries at the start and at the end, square sums at the start and of the steps, their number.
 
@@ -178,7 +193,7 @@ def _run(
     size = jnp.sqrt(_light(samples))
     size = jnp.where(size > 0, size, 1.0)
     whitened = eqx.tree_at(lambda a: a.whiten, atlas, _whitening(first[:-1, :-1]) * size)
-    step, history, count = run(solver, Pass(whitened, samples, model, size), max_steps)
+    step, history, count = run(solver, Pass(whitened, samples, model, size), room, most)
     end, _ = _frame(whitened, step)
     return begin, end, first[-1, -1], history * size**2, count
 
@@ -203,40 +218,47 @@ def _whitening(curved: Float[jax.Array, "p p"]) -> Float[jax.Array, "p p"]:
 
 
 def run(
-    solver: Solver, pass_: Pass, max_steps: int
+    solver: Solver, pass_: Pass, room: int, most: jax.Array | None = None
 ) -> tuple[Float[jax.Array, " p"], Float[jax.Array, " steps"], jax.Array]:
-    """The solver on a pass: the step it ends with, square sums after each step, their number."""
+    """The solver on a pass: the step it ends with, square sums after each step, their number.
+
+    Args:
+        room: for how many square sums a program is compiled.
+        most: steps, if not as many.
+    """
 
     def residual(step: jax.Array, pass_: Any) -> Any:
         value = compressed(step, pass_)
         return value, (value * value).sum()
 
-    recorded = _recorded(solver, max_steps)
+    recorded = _recorded(solver, room, jnp.asarray(room) if most is None else most)
     start = jnp.zeros_like(pass_.atlas.start)
     solution: optx.Solution = optx.least_squares(
-        residual, recorded, start, pass_, max_steps=max_steps, throw=False, has_aux=True
+        residual, recorded, start, pass_, max_steps=room, throw=False, has_aux=True
     )
     return solution.value, solution.stats["history"], solution.stats["num_steps"]
 
 
-def _recorded(solver: Solver, max_steps: int) -> Solver:
+def _recorded(solver: Solver, room: int, most: jax.Array) -> Solver:
     is_minimiser = isinstance(solver, optx.AbstractMinimiser)
     kind: Any = _RecordedMinimiser if is_minimiser else _RecordedLeastSquares
-    made: Solver = kind(solver.rtol, solver.atol, solver.norm, solver, max_steps)
+    made: Solver = kind(solver.rtol, solver.atol, solver.norm, solver, most, room)
     return made
 
 
 class _Recording(eqx.Module):
-    """An optimistix solver that also returns the square sum at each of its steps, in `stats`."""
+    """An optimistix solver that also returns the square sum at each of its steps, in `stats`, and
+    ends after a number of them that it need not be compiled for."""
 
     rtol: float
     atol: float
     norm: Any
     inner: Any
-    max_steps: int = eqx.field(static=True)
+    most: jax.Array
+    room: int = eqx.field(static=True)
 
     def init(self, *arguments: Any) -> Any:
-        return self.inner.init(*arguments), jnp.full(self.max_steps, jnp.nan), jnp.array(0)
+        return self.inner.init(*arguments), jnp.full(self.room, jnp.nan), jnp.array(0)
 
     def step(
         self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any
@@ -246,7 +268,8 @@ class _Recording(eqx.Module):
         return y, (inner, history.at[count].set(aux), count + 1), aux
 
     def terminate(self, fn: Any, y: Any, args: Any, options: Any, state: Any, tags: Any) -> Any:
-        return self.inner.terminate(fn, y, args, options, state[0], tags)
+        done, result = self.inner.terminate(fn, y, args, options, state[0], tags)
+        return done | (state[2] >= self.most), result
 
     def postprocess(
         self, fn: Any, y: Any, aux: Any, args: Any, options: Any, state: Any, tags: Any, result: Any

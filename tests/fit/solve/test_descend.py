@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
@@ -42,9 +43,9 @@ def test_a_name_is_optimistixs_solver(name: str, kind: type) -> None:
     """And what records its steps has it inside."""
     made = _descend.make_solver(name)
     assert type(made) is kind
-    recorder: Any = _descend._recorded(made, 7)
+    recorder: Any = _descend._recorded(made, 7, jnp.asarray(5))
     assert recorder.inner is made
-    assert recorder.max_steps == 7
+    assert (recorder.room, int(recorder.most)) == (7, 5)
 
 
 class Stopped(Exception):

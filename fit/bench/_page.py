@@ -1,0 +1,135 @@
+"""`frontier.html`: the charts, who was first, and every point; nothing from outside."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from .._numbers import number
+from ._chart import panel_svg, panels
+from ._point import ERRORS, MEANINGS, Point
+
+LEVELS = (1e-2, 1e-4, 1e-6, 1e-9, 1e-12)
+"""Errors of parameters that somebody may want."""
+
+OURS = "airlight"
+"""What our methods' names begin with."""
+
+
+def page_html(facts: dict[str, Any], points: Sequence[Point], axis: str) -> str:
+    """The page as text."""
+    rows = {id(point): k for k, point in enumerate(points)}
+    found = panels(points, axis)
+    charts = [
+        {
+            "area": panel.area,
+            "title": panel.title,
+            "error": MEANINGS[panel.error],
+            "svg": panel_svg(panel, axis, k, rows),
+        }
+        for k, panel in enumerate(found)
+    ]
+    environment = Environment(
+        loader=PackageLoader("fit.bench"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("frontier.html").render(
+        facts=facts,
+        charts=charts,
+        first=who_is_first(points),
+        rows=[_row(point) for point in points],
+        errors={area: [MEANINGS[name] for name in names] for area, names in ERRORS.items()},
+        axis=axis,
+    )
+
+
+def who_is_first(points: Sequence[Point]) -> list[dict[str, Any]]:
+    """For each fit and each error that was reached, the quickest way there, and airlight's."""
+    found = []
+    fits = [p for p in points if p.area == "fit" and p.parameters is not None and not p.status]
+    for scene, look in dict.fromkeys((p.scene, p.look) for p in fits):
+        members = [
+            p
+            for p in fits
+            if (p.scene, p.look) == (scene, look) and not p.method.startswith(f"{OURS}, whole")
+        ]
+        for level in LEVELS:
+            best = _quickest([p for p in members if p.parameters <= level])  # type: ignore[operator]
+            if best is None:
+                continue
+            own = [p for p in members if p.method.startswith(OURS)]
+            ours = _quickest([p for p in own if p.parameters <= level])  # type: ignore[operator]
+            rivals = [p for p in members if not p.method.startswith(OURS)]
+            rival = _quickest([p for p in rivals if p.parameters <= level])  # type: ignore[operator]
+            found.append(
+                {
+                    "fit": f"{scene}, {look}",
+                    "level": number(level),
+                    "first": _called(best),
+                    "ours": _called(ours),
+                    "rival": _called(rival),
+                    "peer_wins": not best.method.startswith(OURS),
+                }
+            )
+    return found
+
+
+def _quickest(points: list[Point]) -> Point | None:
+    timed = [p for p in points if p.seconds is not None]
+    return min(timed, key=lambda p: p.seconds or 0.0, default=None)
+
+
+def _called(point: Point | None) -> str:
+    if point is None:
+        return "none gets there"
+    return f"{milliseconds(point.seconds)}: {point.method}, {point.setting}"
+
+
+def milliseconds(seconds: float | None) -> str:
+    """A time for people."""
+    if seconds is None:
+        return ""
+    return f"{1e3 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"
+
+
+def _row(point: Point) -> dict[str, Any]:
+    """A point as words."""
+    errors = [
+        (name, getattr(point, name))
+        for name in (
+            "width_max",
+            "width_p999",
+            "width_rms",
+            "picture_max",
+            "picture_rms",
+            "light",
+            "parameters",
+            "truth",
+        )
+    ]
+    told = [f"{name} {number(value, 2)}" for name, value in errors if value is not None]
+    spread = (
+        ""
+        if point.low is None or point.high is None
+        else f"{milliseconds(point.low)} … {milliseconds(point.high)}"
+    )
+    return {
+        "area": point.area,
+        "where": ", ".join(part for part in (point.scene, point.look) if part),
+        "method": point.method,
+        "setting": point.setting,
+        "pixels": f"{point.pixels:,}",
+        "time": milliseconds(point.seconds),
+        "spread": spread,
+        "first": milliseconds(point.first),
+        "evaluations": "" if point.evaluations is None else f"{point.evaluations:,}",
+        "bytes": "" if point.bytes is None else f"{point.bytes / 1e6:.3g} MB",
+        "rate": "" if point.per_second is None else f"{point.per_second / 1e6:.3g} M/s",
+        "bandwidth": "" if point.bandwidth is None else f"{100 * point.bandwidth:.2g} %",
+        "errors": ", ".join(told),
+        "status": point.status,
+        "note": point.note,
+    }

@@ -1,0 +1,43 @@
+"""`airlight bench` between the command line and the measuring: what is asked, and what is said."""
+
+import json
+from collections.abc import Sequence
+from typing import Literal
+
+from model_jax._errors import InputError, printable
+
+from ._outputs import prepare_folder
+from ._progress import computing, console
+
+CostAxis = Literal["time", "evaluations", "bytes"]
+
+
+def measure(
+    out: str, quick: bool, scenes: Sequence[str], photo: str | None, axis: CostAxis, as_json: bool
+) -> None:
+    """Measure, write, and say who was first."""
+    if photo is not None and not scenes:
+        raise InputError("--photo: needs the --scene that it was taken in")
+    folder = prepare_folder(out)
+    with computing(keep=False) as step:
+        from ..bench._frontier import FULL, QUICK, run_bench
+
+        found = run_bench(folder, QUICK if quick else FULL, scenes, photo, axis, step)
+    if as_json:
+        print(json.dumps(found.to_dict(), allow_nan=False))
+        return
+    from rich.table import Table
+
+    from ..bench._page import who_is_first
+
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for name in ("fit", "error at most", "airlight", "peers"):
+        table.add_column(name)
+    for row in who_is_first(found.points):
+        style = "yellow" if row["peer_wins"] else None
+        table.add_row(row["fit"], row["level"], row["ours"], row["rival"], style=style)
+    said = console()
+    said.print(table)
+    for line in found.left_out:
+        said.print(f"left out: {line}", style="dim", markup=False, highlight=False)
+    said.print(f"{printable(out)}/frontier.html, .csv, .json, .png, .svg", markup=False)
