@@ -98,8 +98,8 @@ def _place(point: Point, error: str, axis: str) -> tuple[float, float]:
 
 
 def charts(points: Sequence[Point], axis: str) -> dict[str, bytes]:
-    """All charts as one picture, by the ending of its file: png and svg."""
-    found = panels(points, axis)
+    """One picture, as the png and the svg file: of each scene the first error's chart."""
+    found = [p for p in panels(points, axis) if p.error == ERRORS[p.area][0]]
     columns = 2
     rows = max(-(-len(found) // columns), 1)
     figure = Figure(figsize=(15, 4.4 * rows), layout="constrained")

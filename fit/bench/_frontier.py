@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from datetime import date
 from functools import partial
 from importlib.util import find_spec
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from render_gl import load_scene, write_whole
 from ._chart import charts
 from ._combine_points import combine_points
 from ._fit_points import Limits, fit_points
-from ._measure import copy_bandwidth, machine
+from ._measure import budgets, copy_bandwidth, machine
 from ._page import page_html
 from ._peers import PEERS, installed
 from ._point import Point
@@ -47,7 +48,8 @@ from ._scenes import (
 from ._settings import Setting
 from ._whole import whole_points
 
-Tell = Callable[[str], None]
+Tell = Callable[..., None]
+"""Takes the name of a step, and how much of the whole is done."""
 
 ALL_SETTINGS = (
     Setting(),
@@ -71,6 +73,8 @@ class Plan:
     choices: Choices
     looks: tuple[str, ...]
     """Of the combine step."""
+    combine_pixels: int
+    """At most."""
     fits: tuple[tuple[str, str], ...]
     """Scene and look of each fit."""
     fit_pixels: int
@@ -102,6 +106,7 @@ FULL = Plan(
         "gradient",
         "gradient+table+mie+veil",
     ),
+    combine_pixels=SIZE[0] * SIZE[1] // 4,
     fits=(
         ("synthetic", "layers"),
         ("synthetic", THIN),
@@ -127,6 +132,7 @@ QUICK = replace(
     render_pixels=81_920,
     choices=Choices(("window16", "window24", "linear"), (1280, 20480), (2, 4)),
     looks=("layers",),
+    combine_pixels=81_920,
     fits=(("synthetic", "layers"),),
     fit_pixels=81_920,
     settings=(Setting(), Setting(reduction="moments"), Setting(dtype="float32")),
@@ -143,6 +149,7 @@ SAMPLE = replace(
     render_pixels=20_480,
     choices=Choices(("window16", "linear"), (1280, 20480), (2,)),
     looks=("layers",),
+    combine_pixels=20_480,
     fits=(("synthetic", "layers"),),
     fit_pixels=20_480,
     settings=(Setting(reduction="moments"),),
@@ -177,7 +184,7 @@ def run_bench(
     scenes: Sequence[str] = (),
     photo: str | None = None,
     axis: str = "time",
-    tell: Tell = lambda step: None,
+    tell: Tell = lambda step, share=None: None,
 ) -> Frontier:
     """Measure, and write `frontier.csv`, `.json`, `.png`, `.svg` and `.html` into a folder.
 
@@ -191,6 +198,7 @@ def run_bench(
     """
     left_out: list[str] = []
     known = _known(plan, scenes, photo, left_out)
+    tell = _sharing(tell, _steps(plan, len(scenes)))
     bandwidth = copy_bandwidth()
     found = list(_measured(plan, known, bool(scenes), bandwidth, left_out, tell))
     left_out += _absent(plan)
@@ -205,6 +213,27 @@ def run_bench(
     tell("drawing charts")
     _write(folder, frontier, axis)
     return frontier
+
+
+def _sharing(tell: Tell, steps: int) -> Tell:
+    """Also tells how many of about so many steps are done: where curves end nobody knows before."""
+    done = count()
+
+    def counting(step: str) -> None:
+        tell(step, min(next(done) / steps, 0.99))
+
+    return counting
+
+
+def _steps(plan: Plan, own: int) -> int:
+    """About how many there will be."""
+    choices = plan.choices
+    of_scene = 2 * len(choices.formats) + len(choices.meshes) + len(choices.parts) + 2
+    curve = len(budgets(min(plan.limits.most, 50)))
+    curves = len(plan.settings) + len(plan.peers)
+    of_fit = 2 + len(plan.parts) + len(plan.scales) + curves * curve
+    scenes, fits = (own, 2 * own) if own else (len(plan.renders), len(plan.fits))
+    return scenes * of_scene + 4 * len(plan.looks) + fits * of_fit + 6 * plan.whole
 
 
 def _known(
@@ -238,11 +267,10 @@ def _measured(
 ) -> Iterator[Point]:
     """All points, area by area."""
     renders = tuple(known) if own else tuple(name for name in plan.renders if name in known)
-    drawn = {}
     for name in renders:
         scene = known[name]
-        drawn[name] = smoothed(name, scene.scene, scene.look, plan.render_pixels)
-        before, after = scene.scene.camera, drawn[name].scene.camera
+        drawn = smoothed(name, scene.scene, scene.look, plan.render_pixels)
+        before, after = scene.scene.camera, drawn.scene.camera
         if before.width != after.width:
             left_out.append(
                 f"{name}: drawn with {after.width}×{after.height} of "
@@ -252,9 +280,10 @@ def _measured(
             left_out.append(
                 f"{name}: drawn without relief and textures, which exact intersection cannot follow"
             )
-        yield from render_points(drawn[name], plan.choices, tell)
+        yield from render_points(drawn, plan.choices, tell)
     if renders:
-        case = drawn[renders[0]]
+        first = known[renders[0]]
+        case = smoothed(first.name, first.scene, first.look, plan.combine_pixels)
         shell = float(case.scene.atmosphere.height)
         looks = {name: _of_shell(name, shell) for name in plan.looks}
         yield from combine_points(case, looks, bandwidth, tell)

@@ -19,7 +19,7 @@ def measure(
     if photo is not None and not scenes:
         raise InputError("--photo: needs the --scene that it was taken in")
     folder = prepare_folder(out)
-    with computing(keep=False) as step:
+    with computing(keep=False, bar=True) as step:
         from ..bench._frontier import FULL, QUICK, run_bench
 
         found = run_bench(folder, QUICK if quick else FULL, scenes, photo, axis, step)

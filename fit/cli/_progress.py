@@ -9,13 +9,14 @@ from ._guard import check_devices
 
 
 @contextmanager
-def computing(keep: bool = True) -> Iterator[Any]:
+def computing(keep: bool = True, bar: bool = False) -> Iterator[Any]:
     """JAX with our settings, under a progress line that is there before JAX is.
 
     Args:
         keep: compiled programs for the next command.
+        bar: with how much of the whole is done, which steps then say.
     """
-    with _steps() as step:
+    with _steps(bar) as step:
         check_devices()
         from .._compile import float64, keep_programs
 
@@ -26,17 +27,18 @@ def computing(keep: bool = True) -> Iterator[Any]:
 
 
 @contextmanager
-def _steps() -> Iterator[Any]:
+def _steps(bar: bool) -> Iterator[Any]:
     """A progress line on standard error that names the step; gone when done."""
     from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    bars = (BarColumn(bar_width=24),) if bar else ()
+    columns = (SpinnerColumn(), *bars, TextColumn("{task.description}"), TimeElapsedColumn())
     console = Console(stderr=True)
     quiet = not console.is_terminal  # a pipe or a log would get stray blank lines
     with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
-        task = progress.add_task("starting", total=None)
-        yield lambda text: progress.update(task, description=text)
+        task = progress.add_task("starting", total=1 if bar else None)
+        yield lambda text, share=None: progress.update(task, description=text, completed=share)
 
 
 def console() -> Any:
