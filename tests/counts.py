@@ -25,7 +25,8 @@ import numpy as np
 
 from fit._compile import float64
 from fit.bench._combine_points import _air, _cast
-from fit.bench._frontier import FULL, _of_shell
+from fit.bench._frontier import _of_shell
+from fit.bench._plans import FULL
 from fit.bench._scenes import THIN, synthetic, synthetic_fit
 from fit.bench._settings import Setting, run_search, run_setting
 from fit.bench._whole import _FRESH, _uncached
@@ -99,8 +100,8 @@ def draw_calls(name: str) -> Counts:
     camera = file.scene.camera
     small = file.scene.resized(camera.width // 8, camera.height // 8)
     return {
-        depth: draw(small, file.look, depth).drawn  # type: ignore[arg-type]
-        for depth in ("window24", "linear")
+        "window24": draw(small, file.look, "window24").drawn,
+        "linear": draw(small, file.look, "linear").drawn,
     }
 
 
@@ -149,14 +150,10 @@ def differences(name: str, made: Counts, before: Counts) -> list[str]:
 
 
 def _leaves(counts: Counts, prefix: str = "") -> list[tuple[str, int]]:
-    found = []
+    found: list[tuple[str, int]] = []
     for key, value in counts.items():
-        inner = (
-            _leaves(value, f"{prefix}{key} ")
-            if isinstance(value, dict)
-            else [(prefix + key, value)]
-        )
-        found += inner
+        nested = isinstance(value, dict)
+        found += _leaves(value, f"{prefix}{key} ") if nested else [(prefix + key, value)]
     return found
 
 

@@ -30,6 +30,7 @@ from ._point import Point, Times, timed
 from ._render_points import Drawn, layers_bytes
 
 FORMAT: DepthFormat = "linear"
+GLSL = "GLSL"
 
 
 def combine_points(
@@ -58,7 +59,7 @@ def _point(case: Drawn, name: str, method: str, setting: str) -> Point:
 
 def _glsl(case: Drawn, name: str) -> Iterator[Point]:
     """The combine pass alone, held against JAX on the same depths."""
-    point = _point(case, name, "GLSL", f"combine pass, {FORMAT} depths")
+    point = _point(case, name, GLSL, f"combine pass, {FORMAT} depths")
     try:
         first, *runs = time_combine(case.scene, case.look, FORMAT, REPEATS + 1)
         frame = draw(case.scene, case.look, FORMAT)

@@ -17,7 +17,7 @@ from ._settings import Ended, Setting, run_search, run_setting, scaled
 class Limits:
     """How far curves go."""
 
-    longest: float = 2.0
+    longest: float = 1.0
     """Seconds of one run after which a budget grows no further."""
     most: int = 1000
     """The largest budget."""

@@ -10,6 +10,7 @@ is a point that says so, and what was left out is listed with the reason.
 
 import csv
 import json
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import date
@@ -22,19 +23,19 @@ from typing import Any
 import jax
 
 from model_jax import AirlightError, find_look
-from render_gl import load_scene, write_whole
+from render_gl import PhotoSettings, load_scene, write_whole
 
 from ._chart import charts
-from ._combine_points import combine_points
-from ._fit_points import Limits, fit_points
-from ._measure import budgets, copy_bandwidth, machine
+from ._combine_points import GLSL, combine_points
+from ._fit_points import fit_points
+from ._measure import copy_bandwidth, machine
 from ._page import page_html
-from ._peers import PEERS, installed
-from ._point import Point
+from ._peers import installed
+from ._plans import FULL, Plan, steps_of
+from ._point import Point, finite
 from ._problems import Case
-from ._render_points import Choices, render_points, smoothed
+from ._render_points import render_points, smoothed
 from ._scenes import (
-    EVERY,
     SEED,
     SIZE,
     THIN,
@@ -45,120 +46,10 @@ from ._scenes import (
     photo_fit,
     synthetic_fit,
 )
-from ._settings import Setting
 from ._whole import whole_points
 
 Tell = Callable[..., None]
 """Takes the name of a step, and how much of the whole is done."""
-
-ALL_SETTINGS = (
-    Setting(),
-    Setting("dogleg"),
-    Setting("bfgs"),
-    Setting(dtype="float32"),
-    Setting(reduction="moments"),
-    Setting(reduction="bins"),
-    Setting(every=16),
-)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What is measured, and how much of it."""
-
-    renders: tuple[str, ...]
-    """Scenes that are drawn, by the names of `built_in`."""
-    render_pixels: int
-    """At most; larger scenes are drawn smaller."""
-    choices: Choices
-    looks: tuple[str, ...]
-    """Of the combine step."""
-    combine_pixels: int
-    """At most."""
-    fits: tuple[tuple[str, str], ...]
-    """Scene and look of each fit."""
-    fit_pixels: int
-    """Of a photo, at most."""
-    settings: tuple[Setting, ...]
-    peers: tuple[str, ...]
-    parts: tuple[int, ...]
-    """One in so many pixels is looked at."""
-    scales: tuple[int, ...]
-    """Width and height of a photo are divided by."""
-    limits: Limits
-    whole: bool
-    """Also what needs processes of its own: first fits, commands from file to file, memory."""
-
-
-FULL = Plan(
-    renders=("paper", "march", "EPIC", "ISS", "extreme"),
-    render_pixels=SIZE[0] * SIZE[1],
-    choices=Choices(),
-    looks=(
-        "layers",
-        "air",
-        "air+density",
-        THIN,
-        f"{THIN}+sun",
-        EVERY,
-        "rim",
-        "rim+gradient",
-        "gradient",
-        "gradient+table+mie+veil",
-    ),
-    combine_pixels=SIZE[0] * SIZE[1] // 4,
-    fits=(
-        ("synthetic", "layers"),
-        ("synthetic", THIN),
-        ("march", "layers"),
-        ("march", THIN),
-        ("EPIC", "layers"),
-        ("EPIC", THIN),
-        ("ISS", THIN),
-        ("extreme", "layers"),
-    ),
-    fit_pixels=SIZE[0] * SIZE[1],
-    settings=ALL_SETTINGS,
-    peers=tuple(PEERS),
-    parts=(2, 4, 16, 64, 256),
-    scales=(2, 4, 8, 16),
-    limits=Limits(),
-    whole=True,
-)
-
-QUICK = replace(
-    FULL,
-    renders=("synthetic", "extreme"),
-    render_pixels=81_920,
-    choices=Choices(("window16", "window24", "linear"), (1280, 20480), (2, 4)),
-    looks=("layers",),
-    combine_pixels=81_920,
-    fits=(("synthetic", "layers"),),
-    fit_pixels=81_920,
-    settings=(Setting(), Setting(reduction="moments"), Setting(dtype="float32")),
-    peers=("SciPy trf", "optax L-BFGS", "optimistix LM"),
-    parts=(4, 16, 64),
-    scales=(2, 4),
-    limits=Limits(longest=0.1, most=20),
-    whole=False,
-)
-
-SAMPLE = replace(
-    QUICK,
-    renders=("synthetic",),
-    render_pixels=20_480,
-    choices=Choices(("window16", "linear"), (1280, 20480), (2,)),
-    looks=("layers",),
-    combine_pixels=20_480,
-    fits=(("synthetic", "layers"),),
-    fit_pixels=20_480,
-    settings=(Setting(reduction="moments"),),
-    peers=("SciPy trf",),
-    parts=(4, 16),
-    scales=(2,),
-    limits=Limits(longest=0.1, most=30),
-)
-"""What the tests can wait for."""
 
 
 @dataclass(frozen=True)
@@ -198,9 +89,10 @@ def run_bench(
     """
     left_out: list[str] = []
     known = _known(plan, scenes, photo, left_out)
-    tell = _sharing(tell, _steps(plan, len(scenes)))
+    tell = _sharing(tell, steps_of(plan, len(scenes)))
     bandwidth = copy_bandwidth()
-    found = list(_measured(plan, known, bool(scenes), bandwidth, left_out, tell))
+    measured = _measured(plan, known, bool(scenes), bandwidth, left_out, tell)
+    found = [finite(point) for point in measured]
     left_out += _absent(plan)
     facts = {
         "date": date.today().isoformat(),
@@ -225,17 +117,6 @@ def _sharing(tell: Tell, steps: int) -> Tell:
     return counting
 
 
-def _steps(plan: Plan, own: int) -> int:
-    """About how many there will be."""
-    choices = plan.choices
-    of_scene = 2 * len(choices.formats) + len(choices.meshes) + len(choices.parts) + 2
-    curve = len(budgets(min(plan.limits.most, 50)))
-    curves = len(plan.settings) + len(plan.peers)
-    of_fit = 2 + len(plan.parts) + len(plan.scales) + curves * curve
-    scenes, fits = (own, 2 * own) if own else (len(plan.renders), len(plan.fits))
-    return scenes * of_scene + 4 * len(plan.looks) + fits * of_fit + 6 * plan.whole
-
-
 def _known(
     plan: Plan, scenes: Sequence[str], photo: str | None, left_out: list[str]
 ) -> dict[str, Known]:
@@ -244,12 +125,14 @@ def _known(
         files = [load_scene(path) for path in scenes]
         known = {file.path.stem: of_file(file, file.path.stem) for file in files}
         if photo is not None:
-            first = next(iter(known))
-            settings = replace(files[0].photo, path=photo)
+            first, own = next(iter(known)), files[0].photo
+            # What a scene says of its photo it says of no other.
+            same = own.path is not None and os.path.realpath(photo) == own.path
+            settings = own if same else PhotoSettings(path=photo)
             known[first] = replace(known[first], photo=Path(photo), settings=settings)
         return known
     found = {}
-    for name in dict.fromkeys((*plan.renders, *(scene for scene, _ in plan.fits))):
+    for name in dict.fromkeys((*plan.renders, *(scene for scene, _, _ in plan.fits))):
         try:
             found[name] = built_in(name)
         except AirlightError as error:
@@ -286,23 +169,34 @@ def _measured(
         case = smoothed(first.name, first.scene, first.look, plan.combine_pixels)
         shell = float(case.scene.atmosphere.height)
         looks = {name: _of_shell(name, shell) for name in plan.looks}
-        yield from combine_points(case, looks, bandwidth, tell)
+        yield from _on_devices(lambda: combine_points(case, looks, bandwidth, tell))
     for fitted in _fits(plan, known, own, left_out):
         case_of = fitted.case()
         if not case_of.pixels:
             left_out.append(f"{fitted.scene}, {fitted.look}: no pixel of the photo can be used")
             continue
-        yield from fit_points(
-            case_of,
-            _smaller(fitted, plan.scales),
-            plan.settings,
-            plan.peers,
-            plan.parts,
-            plan.limits,
-            tell,
-        )
+        given = (case_of, _smaller(fitted, plan.scales), plan.settings, plan.peers, plan.parts)
+        yield from _on_devices(partial(fit_points, *given, plan.limits, tell))
     if plan.whole and not own:
         yield from whole_points(known, left_out, tell)
+
+
+def devices() -> list[jax.Device]:
+    """What JAX can compute with: the processor and, where there is one, a GPU."""
+    default = jax.devices()[0]
+    return [*jax.devices("cpu")[:1], *([] if default.platform == "cpu" else [default])]
+
+
+def _on_devices(make: Callable[[], Iterator[Point]]) -> Iterator[Point]:
+    """The points of all devices; what another than the processor computed says so."""
+    for device in devices():
+        with jax.default_device(device):
+            found = list(make())
+        for point in found:
+            if device.platform == "cpu":
+                yield point
+            elif point.method != GLSL:
+                yield replace(point, method=f"{point.method}, {device.device_kind}")
 
 
 def _of_shell(name: str, shell: float) -> Any:
@@ -314,20 +208,20 @@ def _of_shell(name: str, shell: float) -> Any:
 
 def _fits(plan: Plan, known: dict[str, Known], own: bool, left_out: list[str]) -> Iterator[Fitted]:
     """Photos to fit."""
-    asked = [(name, look) for name in known for look in ("layers", THIN)] if own else plan.fits
-    part = 1
-    while SIZE[0] * SIZE[1] // part**2 > plan.fit_pixels:
-        part *= 2
-    for name, look in asked:
+    mine = [(name, look, plan.fit_pixels) for name in known for look in ("layers", THIN)]
+    for name, look, most in mine if own else plan.fits:
         if name not in known:
             continue
         scene = known[name]
         if not own and name in ("synthetic", "extreme"):
+            part = 1
+            while SIZE[0] * SIZE[1] // part**2 > most:
+                part *= 2
             yield synthetic_fit(name, scene.scene, look, SIZE[0] // part, SIZE[1] // part)
         elif scene.photo is None:
             left_out.append(f"{name}, {look}: its photo is not here")
         else:
-            yield photo_fit(scene, look, plan.fit_pixels)
+            yield photo_fit(scene, look, most)
 
 
 def _smaller(fitted: Fitted, scales: Sequence[int]) -> dict[int, Case]:
@@ -346,7 +240,7 @@ def _absent(plan: Plan) -> list[str]:
         for peer in plan.peers
         if not installed(peer)
     ]
-    if all(device.platform == "cpu" for device in jax.devices()):
+    if len(devices()) == 1:
         more = "" if find_spec("jax_cuda12_plugin") else " (pip install 'airlight[cuda]')"
         found.append(f"GPU: JAX finds none{more}")
     found += [

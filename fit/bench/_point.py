@@ -1,6 +1,7 @@
 """One point of the frontier: a setting, what it cost, and how far off it was."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields, replace
 from statistics import median
 from typing import Any, Literal
 
@@ -106,6 +107,19 @@ def timed(times: Times | None) -> dict[str, Any]:
         "first": times.first,
         "repeats": len(runs),
     }
+
+
+def finite(point: Point) -> Point:
+    """The point; if some number of it is none, without it and failed."""
+    broken = {
+        field.name: None
+        for field in fields(point)
+        if isinstance(value := getattr(point, field.name), float) and not math.isfinite(value)
+    }
+    if not broken:
+        return point
+    words = f"{', '.join(broken)} not finite"
+    return replace(point, **broken, status="failed", note=words)  # type: ignore[arg-type]
 
 
 def pareto(points: list[Point], error: str, axis: str = "time") -> list[Point]:

@@ -111,16 +111,14 @@ class Case:
         found: dict[str, Any] = {"parameters": self.worst(vector, self.best)}
         if self.truth is not None:
             found["truth"] = self.worst(vector, self.truth)
-        with float64():
-            most, rms = codes_apart(self.residuals.light(vector), self._right)
+        most, rms = codes_apart(self.residuals.light(vector), self._right)
         if not np.isfinite(rms):
             return {"status": "diverged", "note": "the picture is not finite"}
         return found | {"picture_max": most, "picture_rms": rms}
 
     @cached_property
     def _right(self) -> np.ndarray:
-        with float64():
-            return self.residuals.light(self.best)
+        return self.residuals.light(self.best)
 
 
 def make_case(

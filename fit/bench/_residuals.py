@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from model_jax._shapes import AnyArray
 
+from .._compile import float64
 from ..solve._model import Model, predict
 from ..solve._parameters import Entries, FitParameter
 from ..solve._samples import Samples, tile_at
@@ -54,7 +55,7 @@ def slopes_of(u: Float[jax.Array, " p"], flat: Flat, model: Model) -> jax.Array:
 
 
 class Residuals:
-    """Residuals of samples along directions from a start. JAX's settings are the caller's."""
+    """Residuals of samples along directions from a start."""
 
     def __init__(
         self,
@@ -80,7 +81,7 @@ class Residuals:
         self.size = norm or 1.0
 
     def flat(self) -> Flat:
-        """Uploaded."""
+        """Uploaded, in the precision of the caller's JAX."""
         moved: Flat = jax.device_put(Flat(self.start, self.steps, self.samples))
         return moved
 
@@ -97,15 +98,17 @@ class Residuals:
         self, vector: Entries, directions: Float[np.ndarray, "e p"]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals and slopes along directions, as NumPy arrays."""
-        flat: Flat = jax.device_put(Flat(vector, directions, self.samples))
-        nothing = jnp.zeros(directions.shape[1])
-        return (
-            np.asarray(residuals_of(nothing, flat, self.model)),
-            np.asarray(slopes_of(nothing, flat, self.model)),
-        )
+        with float64():
+            flat: Flat = jax.device_put(Flat(vector, directions, self.samples))
+            nothing = jnp.zeros(directions.shape[1])
+            return (
+                np.asarray(residuals_of(nothing, flat, self.model)),
+                np.asarray(slopes_of(nothing, flat, self.model)),
+            )
 
     def light(self, vector: Entries) -> np.ndarray:
         """Predicted light [samples]; 0 of what pads the tiles."""
-        flat: Flat = jax.device_put(Flat(vector, self.steps, self.samples))
-        residual = np.asarray(residuals_of(jnp.zeros(self.steps.shape[1]), flat, self.model))
+        with float64():
+            flat: Flat = jax.device_put(Flat(vector, self.steps, self.samples))
+            residual = np.asarray(residuals_of(jnp.zeros(self.steps.shape[1]), flat, self.model))
         return residual + np.asarray(self.samples.light, np.float64).reshape(-1)

@@ -28,7 +28,7 @@ from render_gl import SceneFile, load_scene
 
 from .._choices import Sampling, Where
 from .._compile import float64
-from ..photo._photo import Photo
+from ..photo._photo import Photo, at_photo_size
 from ..photo._read import load_photo
 from ._problems import Case, make_case
 
@@ -222,6 +222,7 @@ def photo_fit(known: Known, look: str, most_pixels: int) -> Fitted:
     photo: Any = load_photo(known.settings)
     view = known.scene
     height, width = photo.shape
+    view = at_photo_size(view, width, height, str(known.photo))
     part = 1
     while (width // part) * (height // part) > most_pixels or width % part or height % part:
         part += 1

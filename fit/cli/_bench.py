@@ -20,7 +20,8 @@ def measure(
         raise InputError("--photo: needs the --scene that it was taken in")
     folder = prepare_folder(out)
     with computing(keep=False, bar=True) as step:
-        from ..bench._frontier import FULL, QUICK, run_bench
+        from ..bench._frontier import run_bench
+        from ..bench._plans import FULL, QUICK
 
         found = run_bench(folder, QUICK if quick else FULL, scenes, photo, axis, step)
     if as_json:

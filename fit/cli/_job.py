@@ -51,6 +51,7 @@ from .._judge import with_warnings
 from .._memory import give_back, map_large_blocks
 from .._result import FitResult
 from ..diagnose._alignment import misaligned
+from ..photo._photo import at_photo_size
 from ..photo._read import load_photo
 from ..report._fitted import SCHEMA
 from ..report._report import report_html
@@ -255,7 +256,7 @@ def _view(job: Job, number: int, file: render_gl.SceneFile | None) -> PhotoView:
             raise InputError("align: turns a scene's camera; layers of a file have none")
         return PhotoView(path_text(name), photo, None, None)
     height, width = photo.shape
-    scene = _at_photo_size(file.scene, width, height, name)
+    scene = at_photo_size(file.scene, width, height, name)
     view = PhotoView(path_text(name), photo, scene, path_text(job.scenes[number]))
     return _laid_on_photo(job, view) if job.align else view
 
@@ -277,22 +278,6 @@ def _layers(job: Job, view: PhotoView, look: Look) -> Layers:
         return make_layers(view.scene, job.source, job.depth_format, look)
     assert job.layers is not None
     return render_gl.read_layers(job.layers, job.near, job.far, job.encoding, job.constant)
-
-
-def _at_photo_size(scene: Scene, width: int, height: int, photo: str) -> Scene:
-    """The scene on the photo's pixel grid; another aspect ratio is another picture."""
-    camera = scene.camera
-    # The same aspect ratio within half a pixel of the photo's width.
-    if abs(camera.width / camera.height * height - width) > 0.5:
-        raise InputError(
-            f"{photo}: {width}×{height} pixels have another shape than the scene's "
-            f"{camera.width}×{camera.height}; if it is cut out of such a picture, put it back into "
-            "its place there and --mask the rest, for the camera looks through the picture's "
-            "middle; if not, give the scene that camera's width, height and fov_y_deg"
-        )
-    if (camera.width, camera.height) == (width, height):
-        return scene
-    return scene.resized(width, height)
 
 
 def _document(

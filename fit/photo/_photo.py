@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt, UInt8
 
+from model_jax import InputError, Scene
 from model_jax._tone import ToneCurve
 
 REASONS = ("masked", "not finite")
@@ -112,3 +113,19 @@ class Photo:
         if self.codes is None or self.half_steps is None:
             return None
         return self.half_steps[self.codes]
+
+
+def at_photo_size(scene: Scene, width: int, height: int, photo: str) -> Scene:
+    """The scene on the photo's pixel grid; another aspect ratio is another picture."""
+    camera = scene.camera
+    # The same aspect ratio within half a pixel of the photo's width.
+    if abs(camera.width / camera.height * height - width) > 0.5:
+        raise InputError(
+            f"{photo}: {width}×{height} pixels have another shape than the scene's "
+            f"{camera.width}×{camera.height}; if it is cut out of such a picture, put it back into "
+            "its place there and --mask the rest, for the camera looks through the picture's "
+            "middle; if not, give the scene that camera's width, height and fov_y_deg"
+        )
+    if (camera.width, camera.height) == (width, height):
+        return scene
+    return scene.resized(width, height)

@@ -10,14 +10,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fit._compile import float64
 from fit.bench._chart import panels
-from fit.bench._frontier import QUICK, SAMPLE, Frontier, run_bench
+from fit.bench._frontier import Frontier, run_bench
 from fit.bench._measure import budgets, codes_apart, stands_still
 from fit.bench._page import who_is_first
 from fit.bench._peers import PEERS, installed
-from fit.bench._point import Point, pareto
+from fit.bench._plans import QUICK, SAMPLE
+from fit.bench._point import Point, finite, pareto
+from fit.bench._render_points import Choices
+from fit.bench._scenes import THIN
+from model_jax import InputError
+from tests.command import airlight
+from tests.data import REPOSITORY
 
 RISE = 2.0
 """How far an error may rise with a setting that costs more: places of pixels change with it."""
@@ -181,6 +188,14 @@ def test_a_front_is_what_nothing_beats() -> None:
     assert [p.setting for p in found] == ["1.0 1.0", "2.0 0.5", "4.0 0.1"]
 
 
+def test_no_number_is_a_failure_by_name() -> None:
+    point = Point("fit", "s", "l", "m", "x", 1, seconds=1.0, parameters=float("nan"))
+    found = finite(point)
+    assert (found.status, found.parameters, found.seconds) == ("failed", None, 1.0)
+    assert found.note == "parameters not finite"
+    assert finite(replace(point, parameters=1.0)) == replace(point, parameters=1.0)
+
+
 def test_who_is_first_is_the_quickest_there() -> None:
     ours = Point("fit", "s", "l", "airlight", "x", 1, seconds=2.0, parameters=1e-5)
     peer = replace(ours, method="SciPy trf", seconds=1.0, parameters=1e-3)
@@ -213,3 +228,50 @@ def test_a_peer_that_is_not_there_is_left_out() -> None:
     assert set(QUICK.peers) <= set(PEERS)
     assert not installed("nosuchpackage LM")
     assert installed("SciPy lm")
+
+
+def test_a_scene_and_photo_of_ones_own(tmp_path: Path) -> None:
+    """Drawn, combined and fitted in place of those built in; the photo's aspect has to fit."""
+    scene = tmp_path / "mine.toml"
+    text = (REPOSITORY / "examples" / "reference.toml").read_text()
+    text = text.replace("width = 720", "width = 96").replace("height = 540", "height = 72")
+    scene.write_text(text.replace('path = "reference.png"', 'path = "nowhere.png"'))
+    photo = tmp_path / "photo.png"
+    with Image.open(REPOSITORY / "examples" / "reference.png") as picture:
+        picture.resize((96, 72)).save(photo)
+    plan = replace(
+        SAMPLE,
+        choices=Choices(("linear",), (), ()),
+        looks=("layers",),
+        settings=(),
+        peers=(),
+        parts=(),
+        scales=(),
+    )
+    with float64():
+        found = run_bench(tmp_path, plan, [str(scene)], str(photo), "bytes")
+        assert {(p.area, p.scene) for p in found.points} == {
+            ("render", "mine"),
+            ("combine", "mine"),
+            ("fit", "mine"),
+        }
+        assert {p.look for p in found.points if p.area == "fit"} == {"layers", THIN}
+        assert all(p.parameters is not None for p in found.points if p.area == "fit")
+        Image.new("RGB", (50, 50)).save(photo)
+        with pytest.raises(InputError, match="have another shape"):
+            run_bench(tmp_path, plan, [str(scene)], str(photo))
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--photo", "x.png"], "needs the --scene"),
+        (["--scene", "nowhere.toml"], "nowhere.toml"),
+        (["--axis", "money"], "money"),
+    ],
+)
+def test_slips_are_told(
+    words: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert airlight("bench", "-o", str(tmp_path / "out"), *words) == 2
+    assert says in capsys.readouterr().err
