@@ -102,7 +102,7 @@ def charts(points: Sequence[Point], axis: str) -> dict[str, bytes]:
     found = [p for p in panels(points, axis) if p.error == ERRORS[p.area][0]]
     columns = 2
     rows = max(-(-len(found) // columns), 1)
-    figure = Figure(figsize=(15, 4.4 * rows), layout="constrained")
+    figure = Figure(figsize=(15, 3.5 * rows), layout="constrained")
     FigureCanvasAgg(figure)
     for k, panel in enumerate(found):
         ax = figure.add_subplot(rows, columns, k + 1)

@@ -66,7 +66,7 @@ def fit_points(
             case,
             f"airlight {setting}",
             "steps",
-            partial(run_setting, case, setting),
+            partial(run_setting, case.told, setting),
             replace(limits, most=min(limits.most, MAX_STEPS)),
             tell,
         )
@@ -76,11 +76,15 @@ def fit_points(
                 words = f"{setting}, then {exact} exact steps"
                 method = f"airlight {setting}, exact steps"
                 yield _one(
-                    case, method, words, case.pixels, partial(run_setting, case, after, MAX_STEPS)
+                    case,
+                    method,
+                    words,
+                    case.pixels,
+                    partial(run_setting, case.told, after, MAX_STEPS),
                 )
     for name in peers:
         if installed(name):
-            yield from _curve(case, name, "budget", partial(PEERS[name], case), limits, tell)
+            yield from _curve(case, name, "budget", partial(PEERS[name], case.told), limits, tell)
 
 
 def _possible(case: Case, settings: tuple[Setting, ...]) -> list[Setting]:

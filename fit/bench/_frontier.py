@@ -62,11 +62,12 @@ class Frontier:
     """Machine, versions, date, seed, a copy's bytes a second."""
 
     def to_dict(self) -> dict[str, Any]:
-        return {
-            **self.facts,
-            "left_out": list(self.left_out),
-            "points": [asdict(point) for point in self.points],
-        }
+        """All of it, as JSON data."""
+        return self.about() | {"points": [asdict(point) for point in self.points]}
+
+    def about(self) -> dict[str, Any]:
+        """What there is to know beside the points."""
+        return self.facts | {"left_out": list(self.left_out)}
 
 
 def run_bench(
@@ -77,7 +78,8 @@ def run_bench(
     axis: str = "time",
     tell: Tell = lambda step, share=None: None,
 ) -> Frontier:
-    """Measure, and write `frontier.csv`, `.json`, `.png`, `.svg` and `.html` into a folder.
+    """Measure, and write into a folder `frontier.csv`, the points; `.json`, machine, versions, seed
+    and what was left out; `.html`, `.png` and `.svg`.
 
     Args:
         scenes: scene files, in place of those built in.
@@ -123,7 +125,9 @@ def _known(
     """Scenes by name."""
     if scenes:
         files = [load_scene(path) for path in scenes]
-        known = {file.path.stem: of_file(file, file.path.stem) for file in files}
+        stems = [file.path.stem for file in files]
+        names = stems if len(set(stems)) == len(stems) else [str(file.path) for file in files]
+        known = {name: of_file(file, name) for name, file in zip(names, files, strict=True)}
         if photo is not None:
             first, own = next(iter(known)), files[0].photo
             # What a scene says of its photo it says of no other.
@@ -208,7 +212,11 @@ def _of_shell(name: str, shell: float) -> Any:
 
 def _fits(plan: Plan, known: dict[str, Known], own: bool, left_out: list[str]) -> Iterator[Fitted]:
     """Photos to fit."""
-    mine = [(name, look, plan.fit_pixels) for name in known for look in ("layers", THIN)]
+    mine = [
+        (name, look, plan.fit_pixels)
+        for name, scene in known.items()
+        for look in dict.fromkeys((scene.look.NAME, "layers", THIN))
+    ]
     for name, look, most in mine if own else plan.fits:
         if name not in known:
             continue
@@ -246,6 +254,7 @@ def _absent(plan: Plan) -> list[str]:
     found += [
         "SciPy lm, optimistix and L-BFGS know no bounds, and are told none",
         "clipped samples: left out of all fits here, for peers have no way to count a bound",
+        "what a fit's optimum holds, at a bound or untold: held for peers and single settings",
         "float64 of the combine step: what float32 is held against, so without an error of its own",
     ]
     return found
@@ -259,11 +268,11 @@ def _write(folder: Path, frontier: Frontier, axis: str) -> None:
             writer.writerows(asdict(point) for point in frontier.points)
 
     write_whole(folder / "frontier.csv", write_csv)
-    text = json.dumps(frontier.to_dict(), indent=2, allow_nan=False) + "\n"
+    text = json.dumps(frontier.about(), indent=2, allow_nan=False) + "\n"
     write_whole(folder / "frontier.json", lambda path: _put(path, text))
     for suffix, picture in charts(frontier.points, axis).items():
         write_whole(folder / f"frontier.{suffix}", partial(_put_bytes, picture))
-    page = page_html(frontier.to_dict(), frontier.points, axis)
+    page = page_html(frontier.about(), frontier.points, axis)
     write_whole(folder / "frontier.html", lambda path: _put(path, page))
 
 

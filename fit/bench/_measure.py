@@ -24,10 +24,10 @@ REPEATS = 7
 GROWTH = 1.5
 """Of a budget from one point of a curve to the next."""
 
-BETTER = 0.9
-STILL = 4
-"""An error stands still when after so many more budgets, five times the first, it is not below this
-share of what it was: a damped solver may try some steps before it takes one."""
+BETTER = 0.95
+STILL = 5
+"""An error stands still when after so many more budgets, eight times the first, it is not below
+this share of what it was: a damped solver may try some steps before it takes one."""
 
 _PACKAGES = ("airlight", "jax", "numpy", "scipy", "optimistix", "moderngl", "optax", "lmfit")
 

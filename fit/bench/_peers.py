@@ -62,7 +62,7 @@ def _box(case: Case) -> tuple[np.ndarray, np.ndarray]:
         if not p.mean_one and len(column) == 1:
             scale = case.residuals.scale[column[0]]
             lower[column], upper[column] = (
-                (bound - float(p.of(case.start))) / scale for bound in (p.lower, p.upper)
+                (bound - float(p.of(case.start))) / scale for bound in (p.floor, p.upper)
             )
     return np.minimum(lower, -1e-12), np.maximum(upper, 1e-12)
 

@@ -72,7 +72,7 @@ FULL = Plan(
         ("synthetic", "layers", WHOLE // 4),
         ("synthetic", THIN, WHOLE // 64),
         ("march", "layers", WHOLE),
-        ("march", THIN, WHOLE // 64),
+        ("march", THIN, WHOLE // 8),
         ("EPIC", "layers", WHOLE),
         ("EPIC", THIN, WHOLE),
         ("ISS", THIN, WHOLE // 16),
@@ -124,7 +124,7 @@ def steps_of(plan: Plan, own: int) -> int:
     """About how many there will be."""
     choices = plan.choices
     of_scene = 2 * len(choices.formats) + len(choices.meshes) + len(choices.parts) + 2
-    curve = len(budgets(min(plan.limits.most, 50)))
+    curve = 2 * len(budgets(min(plan.limits.most, 50))) // 3  # most stand still before
     curves = len(plan.settings) + len(plan.peers)
     of_fit = 2 + len(plan.parts) + len(plan.scales) + curves * curve
     scenes, fits = (own, 2 * own) if own else (len(plan.renders), len(plan.fits))

@@ -78,9 +78,32 @@ class Case:
         """For those who want them as one array."""
         return Residuals(self.samples(), self.model, self.start, self.directions, self.free)
 
-    @cached_property
+    @property
     def best(self) -> Entries:
         """The float64 optimum over all pixels."""
+        return self._optimum[0]
+
+    @cached_property
+    def told(self) -> "Case":
+        """The case with what the optimum holds held there: at a bound, or not told by the pixels.
+
+        So that solvers which know of neither look for the same place; how it is found out is the
+        affair of airlight's own search.
+        """
+        names = {p.name for p in self._optimum[1]}
+        return replace(
+            self,
+            parameters=tuple(
+                replace(p, role="fixed", value=float(p.of(self.best)))
+                if p.role == "free" and p.name not in names
+                else p
+                for p in self.parameters
+            ),
+        )
+
+    @cached_property
+    def _optimum(self) -> tuple[Entries, tuple[FitParameter, ...]]:
+        """And what is free there."""
         with float64():
             end = search(self.problem(), self.start, self.free, "lm", MAX_STEPS)
             vector = end.vector
@@ -97,7 +120,7 @@ class Case:
                 vector = moved
                 if self.worst(vector, vector + directions @ step) < 1e-14:
                     break
-        return vector
+        return vector, end.free
 
     def worst(self, vector: Entries, other: Entries) -> float:
         """The largest difference of a free parameter, in typical sizes."""

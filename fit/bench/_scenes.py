@@ -235,8 +235,9 @@ def photo_fit(known: Known, look: str, most_pixels: int) -> Fitted:
         photo = cells.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
         height, width = rows, columns
     view = view.resized(width, height)
-    kind = find_look(look)
-    shell = float(view.atmosphere.height)
-    start = kind() if kind is LayersLook else kind(scale_height=shell / 6)
+    start = known.look
+    if look != start.NAME:
+        shell = float(view.atmosphere.height)
+        start = LayersLook() if look == LayersLook.NAME else find_look(look)(scale_height=shell / 6)
     layers = jax.tree.map(np.asarray, analytic_layers(view, jnp.float32, start))
     return Fitted(known.name, look, start, photo, view, layers, None, "area", "ring", None)
