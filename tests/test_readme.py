@@ -125,3 +125,17 @@ def test_share_explained_is_what_a_fit_says() -> None:
     assert file.photo.path is not None
     result = fit(load_photo(file.photo.path), analytic_layers(file.scene))
     assert result.explained == pytest.approx(0.46, abs=0.005)
+
+
+def test_rows_on_speed_are_those_of_the_full_run() -> None:
+    from .frontier_rows import table
+
+    start = LINES.index(table()[0])
+    end = next(k for k in range(start, len(LINES)) if not LINES[k].startswith("|"))
+    assert LINES[start:end] == table()
+
+
+def test_no_time_is_stated_outside_of_the_rows() -> None:
+    """A time that names no row is one that nobody can measure again."""
+    told = [line for line in LINES if re.search(r"\d (ms|s|seconds|minutes)\b", line)]
+    assert [line for line in told if not line.startswith("|")] == []

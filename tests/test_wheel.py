@@ -28,15 +28,15 @@ def names(wheel: zipfile.ZipFile) -> set[str]:
 def test_each_package_is_there_with_its_types(names: set[str]) -> None:
     for package in ("model_jax", "render_gl", "fit", "airlight"):
         assert {f"{package}/{n}" for n in ("__init__.py", "__init__.pyi", "py.typed")} <= names
-    assert "fit/report/templates/report.html" in names
+    assert {"fit/report/templates/report.html", "fit/bench/templates/frontier.html"} <= names
     assert {"render_gl/glsl/fields.glsl", "render_gl/glsl/looks/layers.glsl"} <= names
     assert not any(name.startswith("tests/") for name in names)
 
 
 def test_the_examples_are_there(names: set[str]) -> None:
     data = {name.partition(".data/data/")[2] for name in names if ".data/data/" in name}
-    examples = [p for p in (ROOT / "examples").iterdir() if p.is_file()]
-    assert data == {f"share/airlight/examples/{path.name}" for path in examples}
+    examples = (p for p in (ROOT / "examples").rglob("*") if p.is_file())
+    assert data == {f"share/airlight/{path.relative_to(ROOT).as_posix()}" for path in examples}
 
 
 def test_an_index_page_has_no_address_that_leads_nowhere(wheel: zipfile.ZipFile) -> None:

@@ -36,6 +36,8 @@ class Panel:
     title: str
     error: str
     points: tuple[Point, ...]
+    lost: tuple[Point, ...] = ()
+    """What failed or diverged at some cost: it stands at the upper edge."""
 
 
 def panels(points: Sequence[Point], axis: str) -> list[Panel]:
@@ -45,9 +47,14 @@ def panels(points: Sequence[Point], axis: str) -> list[Panel]:
         members = tuple(p for p in points if _group(p) == (area, scene, look))
         for error in ERRORS[area]:
             drawn = tuple(p for p in members if is_drawn(p, error, axis))
+            lost = tuple(
+                p
+                for p in members
+                if p.status in ("failed", "diverged") and p.cost(axis) is not None
+            )
             if drawn:
                 title = ", ".join(part for part in (_AREAS[area], scene, look) if part)
-                found.append(Panel(area, title, error, drawn))
+                found.append(Panel(area, title, error, drawn, lost))
     return found
 
 
@@ -83,6 +90,10 @@ def draw_panel(ax: Axes, panel: Panel, axis: str, names: dict[int, str] | None =
             for p, place in zip(curve, places, strict=True):
                 (mark,) = ax.plot(*[[v] for v in place], **style | {"ls": ""})
                 mark.set_gid(names[id(p)])
+    for p in panel.lost:
+        (mark,) = ax.plot([p.cost(axis) or 0.0], [0.97], "kx", transform=ax.get_xaxis_transform())
+        if names is not None:
+            mark.set_gid(names[id(p)])
     front = [] if panel.area == "combine" else pareto(list(panel.points), panel.error, axis)
     places = [_place(p, panel.error, axis) for p in front]
     if places:

@@ -15,10 +15,10 @@ ERRORS = {
 """Errors that are drawn, by area."""
 
 MEANINGS = {
-    "width_p999": "width of air, 99.9 % of pixels, share of the shell's height",
-    "picture_rms": "picture, rms, codes of 8 bits",
-    "light": "light or slopes, share of the largest",
-    "parameters": "worst parameter, share of its typical size",
+    "width_p999": "width (99.9 %), share of the shell",
+    "picture_rms": "picture (rms), codes of 8 bits",
+    "light": "light or slopes, share of largest",
+    "parameters": "worst parameter, typical sizes",
 }
 
 AXES = {"time": "seconds", "evaluations": "evaluations", "bytes": "bytes"}

@@ -16,7 +16,7 @@ from fit._compile import float64
 from fit.bench._chart import panels
 from fit.bench._frontier import Frontier, run_bench
 from fit.bench._measure import budgets, codes_apart, stands_still
-from fit.bench._page import who_is_first
+from fit.bench._page import page_html, who_is_first
 from fit.bench._peers import PEERS, installed
 from fit.bench._plans import QUICK, SAMPLE
 from fit.bench._point import Point, finite, pareto
@@ -36,6 +36,14 @@ length, of 99.9 % of the pixels by ten times as much."""
 
 OPTIMUM = 1e-11
 """float64's eps times a condition of 1e4, of parameters in typical sizes."""
+
+
+ABOUT = {
+    "date": "2026-11-29",
+    "machine": {"cores": 2, "versions": {"jax": "1"}},
+    "copy_bytes_per_second": 1e9,
+    "seed": 1,
+}
 
 
 @pytest.fixture(scope="module")
@@ -177,6 +185,17 @@ def test_a_cost_may_be_counted_otherwise(bench: tuple[Frontier, Path]) -> None:
     for axis in ("evaluations", "bytes"):
         found = panels(bench[0].points, axis)
         assert any(panel.area == "fit" for panel in found)
+
+
+def test_what_diverged_is_a_mark_of_its_own() -> None:
+    lost = Point("fit", "s", "l", "m", "x", 1, seconds=1.0, status="diverged", note="not finite")
+    found = replace(lost, seconds=2.0, parameters=0.1, status="", note="")
+    (panel,) = panels([lost, found], "time")
+    assert panel.points == (found,)
+    assert panel.lost == (lost,)
+    page = page_html({"left_out": [], **ABOUT}, [lost, found], "time")
+    assert 'id="p0-0"' in page
+    assert '<span class="status">diverged</span> not finite' in page
 
 
 def test_a_front_is_what_nothing_beats() -> None:
