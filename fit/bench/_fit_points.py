@@ -41,9 +41,13 @@ def fit_points(
         smaller: the same photo with its width and height divided by the key.
     """
     tell(f"{case.scene}, {case.name}: the optimum")
-    assert case.best is not None  # found once, before anything is timed
+    told = case.told  # found once, before anything is timed
     tell(f"{case.scene}, {case.name}: airlight")
-    yield _one(case, "airlight", "as fit() does", case.pixels, partial(run_search, case))
+    whole = _one(case, "airlight", "as fit() does", case.pixels, partial(run_search, case))
+    if not told.free:
+        yield replace(whole, note="these pixels tell nothing of this look: no curves")
+        return
+    yield whole
     for every in parts:
         tell(f"{case.scene}, {case.name}: 1/{every} of the pixels")
         few = scaled(case, every)
@@ -66,7 +70,7 @@ def fit_points(
             case,
             f"airlight {setting}",
             "steps",
-            partial(run_setting, case.told, setting),
+            partial(run_setting, told, setting),
             replace(limits, most=min(limits.most, MAX_STEPS)),
             tell,
         )
@@ -80,11 +84,11 @@ def fit_points(
                     method,
                     words,
                     case.pixels,
-                    partial(run_setting, case.told, after, MAX_STEPS),
+                    partial(run_setting, told, after, MAX_STEPS),
                 )
     for name in peers:
         if installed(name):
-            yield from _curve(case, name, "budget", partial(PEERS[name], case.told), limits, tell)
+            yield from _curve(case, name, "budget", partial(PEERS[name], told), limits, tell)
 
 
 def _possible(case: Case, settings: tuple[Setting, ...]) -> list[Setting]:

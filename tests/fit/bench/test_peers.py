@@ -1,8 +1,11 @@
 """All solvers are asked the same: with budget enough each ends where the others do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from fit.bench._fit_points import Limits, fit_points
 from fit.bench._peers import PEERS, installed
 from fit.bench._problems import Case
 from fit.bench._scenes import synthetic, synthetic_fit
@@ -56,6 +59,19 @@ def test_settings_end_at_the_optimum(case: Case, setting: Setting, near: float) 
     ended = run_setting(case, setting, 256)
     assert case.worst(ended.vector, case.best) < near
     assert ended.bytes > 0
+
+
+def test_pixels_that_tell_nothing_have_no_curves() -> None:
+    """A look whose every number is held: of black light, nothing says how bright air is."""
+    dark = synthetic_fit("synthetic", synthetic(48, 40), "layers", 48, 40)
+    dark = replace(dark, photo=np.zeros_like(dark.photo), free=("shadow",), truth=None)
+    case = dark.case()
+    assert case.told.free == []
+    found = list(
+        fit_points(case, {}, (Setting(),), ("SciPy trf",), (), Limits(), lambda step: None)
+    )
+    assert [p.method for p in found] == ["airlight"]
+    assert "tell nothing" in found[0].note
 
 
 def test_a_budget_of_few_steps_is_kept(case: Case) -> None:
