@@ -88,10 +88,19 @@ def operations(look: str) -> Counts:
 
 
 def _cost(function: Callable[..., Any], *given: Any) -> Counts:
-    """Operations of a program that is not yet optimised: how many it is written with."""
+    """Of a program that is not yet optimised: operations it is written with, arithmetic and bytes.
+
+    The last two are XLA's count, in which a loop is one pass through it.
+    """
     jit: Any = eqx.filter_jit  # its type leaves out what it passes on
-    text = jit(function).lower(*given).lowered.as_text()
-    return {"operations": text.count("stablehlo."), "loops": text.count("stablehlo.while")}
+    lowered = jit(function).lower(*given).lowered
+    text, cost = lowered.as_text(), lowered.cost_analysis()
+    return {
+        "operations": text.count("stablehlo."),
+        "loops": text.count("stablehlo.while"),
+        "flops": int(cost["flops"]),
+        "bytes": int(cost["bytes accessed"]),
+    }
 
 
 def draw_calls(name: str) -> Counts:
