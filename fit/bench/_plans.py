@@ -113,9 +113,9 @@ SAMPLE = replace(
     fits=(("synthetic", "layers", WHOLE // 64),),
     settings=(Setting(reduction="moments"),),
     peers=("SciPy trf",),
-    parts=(4, 16),
+    parts=(4,),
     scales=(2,),
-    limits=Limits(longest=60.0, most=30),
+    limits=Limits(longest=60.0, most=20),
 )
 """What the tests can wait for. No curve ends by the clock, which is another one elsewhere."""
 
