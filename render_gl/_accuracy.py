@@ -150,7 +150,7 @@ def measure_accuracy(
     ranges = width_ranges(bare, *displacement(bare, source))
     exact = width_ranges(bare, 0.0, 0.0)
     measured = []
-    drawn = _widths(render(bare, depth_format, source))
+    drawn = width_pair(render(bare, depth_format, source))
     for width, (true, _) in zip(drawn, (exact.lit, exact.dark), strict=True):
         air = (width != 0) | (true != 0)
         error = np.nan_to_num(np.abs(width - true), nan=np.inf)
@@ -208,7 +208,8 @@ def _ray_size(scene: Scene) -> float:
     return float(view.shell) * float(np.hypot(1, diagonal)) + 2 * largest
 
 
-def _widths(layers: Layers) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+def width_pair(layers: Layers) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Lit and dark width, scene length units."""
     unit = float(layers.width_unit)
     lit, dark = layer_widths(layers)
     lit = np.asarray(lit, dtype=np.float64) * unit

@@ -269,16 +269,12 @@ def _write(folder: Path, frontier: Frontier, axis: str) -> None:
 
     write_whole(folder / "frontier.csv", write_csv)
     text = json.dumps(frontier.about(), indent=2, allow_nan=False) + "\n"
-    write_whole(folder / "frontier.json", lambda path: _put(path, text))
+    write_whole(folder / "frontier.json", partial(_put, text.encode()))
     for suffix, picture in charts(frontier.points, axis).items():
-        write_whole(folder / f"frontier.{suffix}", partial(_put_bytes, picture))
+        write_whole(folder / f"frontier.{suffix}", partial(_put, picture))
     page = page_html(frontier.about(), frontier.points, axis)
-    write_whole(folder / "frontier.html", lambda path: _put(path, page))
+    write_whole(folder / "frontier.html", partial(_put, page.encode()))
 
 
-def _put_bytes(content: bytes, path: Path) -> None:
+def _put(content: bytes, path: Path) -> None:
     path.write_bytes(content)
-
-
-def _put(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from model_jax import DriverError
+from model_jax import DriverError, Srgb
 from render_gl import renderer_name
 
 from ._point import Times
@@ -111,11 +111,10 @@ def codes_apart(picture: np.ndarray, right: np.ndarray) -> tuple[float, float]:
     Linear light [..., 3]; white is the right picture's brightest number.
     """
     white = float(np.max(right, initial=0.0)) or 1.0
-    apart = np.abs(_codes(picture / white) - _codes(right / white))
+
+    def codes(light: np.ndarray) -> np.ndarray:
+        """Not rounded, so that small differences are told."""
+        return 255 * np.asarray(Srgb().encode(np.clip(light.astype(np.float64) / white, 0, 1)))
+
+    apart = np.abs(codes(picture) - codes(right))
     return float(np.max(apart, initial=0.0)), float(np.sqrt(np.mean(apart**2)))
-
-
-def _codes(linear: np.ndarray) -> np.ndarray:
-    """sRGB's curve (IEC 61966-2-1), not rounded, so that small differences are told."""
-    light = np.clip(np.asarray(linear, np.float64), 0, 1)
-    return 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)

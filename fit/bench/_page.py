@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from .._numbers import number
+from ..report._report import page_template
 from ._chart import panel_svg, panels
-from ._point import ERRORS, MEANINGS, Point
+from ._point import MEANINGS, Point
 
 LEVELS = (1e-2, 1e-4, 1e-6, 1e-9, 1e-12)
 """Errors of parameters that somebody may want."""
@@ -29,20 +28,11 @@ def page_html(facts: dict[str, Any], points: Sequence[Point], axis: str) -> str:
         }
         for k, panel in enumerate(found)
     ]
-    environment = Environment(
-        loader=PackageLoader("fit.bench"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("frontier.html").render(
+    return page_template("fit.bench", "frontier.html").render(
         facts=facts,
         charts=charts,
         first=who_is_first(points),
         rows=[_row(point) for point in points],
-        errors={area: [MEANINGS[name] for name in names] for area, names in ERRORS.items()},
-        axis=axis,
     )
 
 
@@ -68,7 +58,6 @@ def who_is_first(points: Sequence[Point]) -> list[dict[str, Any]]:
                 {
                     "fit": f"{scene}, {look}",
                     "level": number(level),
-                    "first": _called(best),
                     "ours": _called(ours),
                     "rival": _called(rival),
                     "peer_wins": not best.method.startswith(OURS),

@@ -162,25 +162,12 @@ def make_case(
     columns = take_columns(photo, layers, used, float(layers.width_unit), kind)
     if columns.clipped is not None:
         measured = np.all(np.asarray(columns.clipped) == 0, axis=1)
-        columns = part_of(columns, np.asarray(measured))
+        columns = replace(columns.part(np.asarray(measured)), clipped=None)
     parameters = within_scene(declare(look, [Response()], free=free), [columns])
     square = 1 / 12 if sampling == "area" else 0.0
     model = Model(Loss("linear"), None, Layout(kind), True, square)
     known = None if truth is None else to_entries(declare(truth, [Response()], free=free))
     return Case(scene, name, look, columns, tuple(parameters), model, known)
-
-
-def part_of(columns: Columns, chosen: np.ndarray) -> Columns:
-    """Some of the pixels, none of them clipped."""
-    return replace(
-        columns,
-        index=columns.index[chosen],
-        fields={name: field[chosen] for name, field in columns.fields.items()},
-        light=columns.light[chosen],
-        surface=None if columns.surface is None else columns.surface[chosen],
-        clipped=None,
-        drawn_error=None if columns.drawn_error is None else columns.drawn_error[chosen],
-    )
 
 
 def narrowed(columns: Columns) -> Columns:

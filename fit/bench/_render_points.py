@@ -18,10 +18,9 @@ from model_jax import (
     Scene,
     analytic_layers,
     composite,
-    layer_widths,
 )
 from render_gl import DEPTH_FORMATS, DepthFormat, Source, render_layers_and_image
-from render_gl._accuracy import smooth
+from render_gl._accuracy import smooth, width_pair
 from render_gl._draw import draw
 
 from .._compile import float64
@@ -191,12 +190,8 @@ def _per_second(point: Point) -> float | None:
 
 def widths(layers: Layers) -> np.ndarray:
     """Lit and dark width [2, h, w], scene length units."""
-    unit = float(layers.width_unit)
     with float64():
-        lit, dark = layer_widths(layers)
-    lit = np.asarray(lit, np.float64) * unit
-    dark = np.zeros_like(lit) if dark is None else np.asarray(dark, np.float64) * unit
-    return np.stack([lit, dark])
+        return np.stack(width_pair(layers))
 
 
 def layers_bytes(layers: Layers) -> int:

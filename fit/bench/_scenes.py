@@ -175,9 +175,7 @@ class Fitted:
         if camera.width % part or camera.height % part:
             return None
         rows, columns = camera.height // part, camera.width // part
-        light = np.asarray(self.photo.linear if isinstance(self.photo, Photo) else self.photo)
-        cells = light.reshape(rows, part, columns, part, 3)
-        small = cells.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
+        small = _shrunk(self.photo, part)
         scene = self.view.resized(columns, rows)
         layers = jax.tree.map(np.asarray, analytic_layers(scene, jnp.float32, self.start))
         return self._case(small, layers)
@@ -230,10 +228,8 @@ def photo_fit(known: Known, look: str, most_pixels: int) -> Fitted:
             part = 1
             break
     if part > 1:
-        rows, columns = height // part, width // part
-        cells = np.asarray(photo.linear, np.float32).reshape(rows, part, columns, part, 3)
-        photo = cells.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
-        height, width = rows, columns
+        photo = _shrunk(photo, part)
+        height, width = photo.shape[:2]
     view = view.resized(width, height)
     start = known.look
     if look != start.NAME:
@@ -241,3 +237,11 @@ def photo_fit(known: Known, look: str, most_pixels: int) -> Fitted:
         start = LayersLook() if look == LayersLook.NAME else find_look(look)(scale_height=shell / 6)
     layers = jax.tree.map(np.asarray, analytic_layers(view, jnp.float32, start))
     return Fitted(known.name, look, start, photo, view, layers, None, "area", "ring", None)
+
+
+def _shrunk(photo: Any, part: int) -> Float[np.ndarray, "h w 3"]:
+    """Means over squares of pixels, linear light; the photo's sides are whole numbers of them."""
+    light = np.asarray(photo.linear if isinstance(photo, Photo) else photo, np.float32)
+    height, width, _ = light.shape
+    cells = light.reshape(height // part, part, width // part, part, 3)
+    return cells.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)

@@ -19,7 +19,7 @@ from ..solve._problem import Point, Problem
 from ..solve._reduce import bins, moments
 from ..solve._samples import Samples, on_device, to_samples
 from ..solve._search import search
-from ._problems import MAX_STEPS, Case, narrowed, part_of
+from ._problems import MAX_STEPS, Case, narrowed
 
 Reduction = Literal["tiles", "moments", "bins"]
 
@@ -57,7 +57,7 @@ def run_setting(case: Case, setting: Setting, steps: int) -> Ended:
     """A descent of at most some steps from the case's start, from pixels in memory."""
     columns = case.columns
     if setting.every > 1:
-        columns = part_of(columns, np.arange(len(columns.index)) % setting.every == 0)
+        columns = columns.part(np.arange(len(columns.index)) % setting.every == 0)
     precision, few, read = _reduced(columns, setting)
     start = chart(case.start, case.free, case.parameters)
     solver = make_solver(setting.solver, _tolerance(setting.dtype))
@@ -134,7 +134,7 @@ def run_search(case: Case) -> Ended:
 
 def scaled(case: Case, every: int) -> Case:
     """The case of one in so many of its pixels."""
-    return replace(case, columns=part_of(case.columns, np.arange(case.pixels) % every == 0))
+    return replace(case, columns=case.columns.part(np.arange(case.pixels) % every == 0))
 
 
 def _bytes(samples: Samples) -> int:

@@ -114,9 +114,9 @@ def find_doubts(
             continue
 
         def alone(part: Columns, number: int = number) -> list[Columns]:
-            return [part if k == number else _part(o, nobody) for k, o in enumerate(columns)]
+            return [part if k == number else o.part(nobody) for k, o in enumerate(columns)]
 
-        part = _part(c, chosen)
+        part = c.part(chosen)
         here = replace(point, problem=point.problem.beside(alone(part)))
         slopes = [slope for _, slope in influences(here, influence)]
         near, place = _neighbours(part.index, of)
@@ -240,19 +240,3 @@ def _neighbours(
     inside &= known.reshape(-1)[flat]
     near = np.unique(flat[inside])
     return near, np.where(inside, np.searchsorted(near, flat), len(near))
-
-
-def _part(columns: Columns, chosen: Int[np.ndarray, " m"]) -> Columns:
-    def part(values: np.ndarray | None) -> np.ndarray | None:
-        return None if values is None else values[chosen]
-
-    return replace(
-        columns,
-        index=columns.index[chosen],
-        fields={name: field[chosen] for name, field in columns.fields.items()},
-        light=columns.light[chosen],
-        surface=part(columns.surface),
-        clipped=part(columns.clipped),
-        drawn_error=part(columns.drawn_error),
-        stencil=None if columns.stencil is None else columns.stencil.part(chosen),
-    )

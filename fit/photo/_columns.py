@@ -3,6 +3,7 @@ solver.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import numpy as np
@@ -54,6 +55,23 @@ class Columns:
         if self.mix is None:
             return []
         return [k for k in range(3) if (self.mix[:k] == self.mix[k]).all(axis=1).any()]
+
+    def part(self, chosen: Int[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> "Columns":
+        """Some of the pixels."""
+
+        def some(values: np.ndarray | None) -> Any:
+            return None if values is None else values[chosen]
+
+        return replace(
+            self,
+            index=self.index[chosen],
+            fields={name: field[chosen] for name, field in self.fields.items()},
+            light=self.light[chosen],
+            surface=some(self.surface),
+            clipped=some(self.clipped),
+            drawn_error=some(self.drawn_error),
+            stencil=None if self.stencil is None else self.stencil.part(chosen),
+        )
 
 
 def as_picture(photo: PhotoLike) -> np.ndarray:

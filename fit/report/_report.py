@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from model_jax import Linear, ToneCurve
 from model_jax._shapes import AnyArray, Depth, Mask, Rgb
@@ -59,6 +59,19 @@ Section = dict[str, Any]
 _STEPS = ("render", "choose", "reduce", "solve", "errors", "report")
 
 
+def page_template(package: str, name: str) -> Template:
+    """A page of a package's folder `templates`; what is filled in is escaped, what is missing an
+    error."""
+    environment = Environment(
+        loader=PackageLoader(package),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(name)
+
+
 def report_html(document: dict[str, Any], sections: Sequence[Section], command: str) -> str:
     """The report as HTML text.
 
@@ -72,14 +85,7 @@ def report_html(document: dict[str, Any], sections: Sequence[Section], command: 
     explained = document.get("explained")
     if tone == "good" and explained is not None and explained < WELL_EXPLAINED:
         tone = "warn"  # the numbers are the best ones, of a look that does not fit
-    environment = Environment(
-        loader=PackageLoader("fit.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html").render(
+    return page_template("fit.report", "report.html").render(
         document=document,
         tone=tone,
         heading=heading,

@@ -96,20 +96,7 @@ def thinned(columns: Sequence[Columns]) -> Samples:
 
     def reduced(c: Columns) -> Columns:
         number = np.arange(len(c.index))
-        chosen = number[(number if c.stencil is None else number // _RUN) % step == 0]
-
-        def part(values: np.ndarray | None) -> np.ndarray | None:
-            return None if values is None else values[chosen]
-
-        return replace(
-            c,
-            index=c.index[chosen],
-            fields={name: field[chosen] for name, field in c.fields.items()},
-            light=c.light[chosen],
-            surface=part(c.surface),
-            clipped=part(c.clipped),
-            stencil=None if c.stencil is None else c.stencil.part(chosen),
-        )
+        return c.part(number[(number if c.stencil is None else number // _RUN) % step == 0])
 
     def weight(all_: Columns, few: Columns) -> np.ndarray:
         count = len(few.index)
