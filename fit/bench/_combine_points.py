@@ -13,7 +13,7 @@ import numpy as np
 from model_jax import AirlightError, Layers, Look, Response, combine
 from render_gl import DepthFormat
 from render_gl._draw import draw, time_combine
-from render_gl._parity import compare, measure_division
+from render_gl._render import frame_layers
 
 from .._compile import float64, program
 from ..photo._columns import take_columns
@@ -58,21 +58,21 @@ def _point(case: Drawn, name: str, method: str, setting: str) -> Point:
 
 
 def _glsl(case: Drawn, name: str) -> Iterator[Point]:
-    """The combine pass alone, held against JAX on the same depths."""
+    """The combine pass alone, held against JAX in float64 on the depths that the shader read."""
     point = _point(case, name, GLSL, f"combine pass, {FORMAT} depths")
     try:
         first, *runs = time_combine(case.scene, case.look, FORMAT, REPEATS + 1)
         frame = draw(case.scene, case.look, FORMAT)
-        with float64():
-            division = measure_division(case.scene, FORMAT)
-            parity = compare(case.scene, case.look, frame, FORMAT, division)
     except AirlightError as error:
         yield replace(point, status="failed", note=str(error))
         return
+    with float64():
+        layers = frame_layers(case.scene, frame, FORMAT)
+        right = np.asarray(_air(*_cast((layers, case.look), "float64")))
     depths = frame.front.nbytes + frame.back.nbytes + frame.shadows.nbytes
-    apart = float(parity.summary()["max_relative"])
-    times = timed(Times(first, tuple(runs)))
-    yield replace(point, **times, bytes=2 * depths + frame.air.nbytes, light=apart)
+    size = 2 * depths + frame.air.nbytes
+    point = replace(point, **timed(Times(first, tuple(runs))), bytes=size)
+    yield _against(point, frame.air, right, "float32")
 
 
 def _cast(tree: Any, dtype: str) -> Any:
@@ -89,7 +89,7 @@ def _air(layers: Layers, look: Look) -> jax.Array:
 
 
 def _jax(case: Drawn, name: str) -> Iterator[Point]:
-    """`combine` compiled, on the exact layers."""
+    """`combine` compiled, on the exact layers; what rounds them to float32 is in its error."""
     with float64():
         run = eqx.filter_jit(_air)
         right = np.asarray(run(*_cast((case.exact, case.look), "float64")))
