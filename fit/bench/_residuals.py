@@ -107,8 +107,10 @@ class Residuals:
             )
 
     def light(self, vector: Entries) -> np.ndarray:
-        """Predicted light [samples]; 0 of what pads the tiles."""
+        """Predicted light [samples], without what pads the tiles."""
         with float64():
             flat: Flat = jax.device_put(Flat(vector, self.steps, self.samples))
             residual = np.asarray(residuals_of(jnp.zeros(self.steps.shape[1]), flat, self.model))
-        return residual + np.asarray(self.samples.light, np.float64).reshape(-1)
+        light = np.asarray(self.samples.light, np.float64)
+        inside = np.arange(light.shape[-1]) < self.samples.count[:, None, None]
+        return (residual.reshape(light.shape) + light)[np.broadcast_to(inside, light.shape)]

@@ -74,6 +74,11 @@ def test_pixels_that_tell_nothing_have_no_curves() -> None:
     assert "tell nothing" in found[0].note
 
 
+def test_the_picture_is_of_pixels_not_of_padding(case: Case) -> None:
+    assert len(case.residuals.light(case.best)) == 3 * case.pixels
+    assert case.judged(case.start)["picture_rms"] > 1
+
+
 def test_a_budget_of_few_steps_is_kept(case: Case) -> None:
     for steps in (1, 3, 5):
         assert run_setting(case, Setting(), steps).evaluations == steps + 1
