@@ -3,13 +3,9 @@
 python -m tests.frontier_rows     prints the table
 """
 
-import csv
-from dataclasses import fields
-from typing import Any, get_type_hints
-
 from fit._numbers import number
 from fit.bench._page import milliseconds
-from fit.bench._point import Point
+from fit.bench._point import Point, read_points
 
 from .data import REPOSITORY
 
@@ -52,20 +48,7 @@ FITS = (
 
 def points() -> list[Point]:
     """All rows of the file."""
-    kinds = get_type_hints(Point)
-    with open(FRONTIER / "frontier.csv", newline="", encoding="utf-8") as stream:
-        return [
-            Point(**{f.name: _read(row[f.name], kinds[f.name]) for f in fields(Point)})
-            for row in csv.DictReader(stream)
-        ]
-
-
-def _read(text: str, kind: Any) -> Any:
-    if kind is str or "Literal" in str(kind):
-        return text
-    if text == "":
-        return None
-    return int(text) if "int" in str(kind) else float(text)
+    return read_points(FRONTIER / "frontier.csv")
 
 
 def chosen() -> list[Point]:

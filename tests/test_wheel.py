@@ -28,7 +28,7 @@ def names(wheel: zipfile.ZipFile) -> set[str]:
 def test_each_package_is_there_with_its_types(names: set[str]) -> None:
     for package in ("model_jax", "render_gl", "fit", "airlight"):
         assert {f"{package}/{n}" for n in ("__init__.py", "__init__.pyi", "py.typed")} <= names
-    assert {"fit/report/templates/report.html", "fit/bench/templates/frontier.html"} <= names
+    assert {"fit/report/templates/report.html", "fit/bench/templates/bench.html"} <= names
     assert {"render_gl/glsl/fields.glsl", "render_gl/glsl/looks/layers.glsl"} <= names
     assert not any(name.startswith("tests/") for name in names)
 

@@ -1,7 +1,7 @@
 """`airlight bench`: error against run time, of renders, the combine step and fits, on this machine.
 
     scenes, photos (_scenes) ──> points (_render_points, _combine_points, _fit_points, _whole)
-        ──> frontier.csv, .json, .png, .svg, .html (_chart, _page)
+        ──> frontier.csv, .json, .png, .svg, bench.html (_chart, _page)
 
 Timers wait for what they time, the first run counts by itself, the median of `REPEATS` runs counts.
 Errors are against float64 or better, never against the contestant itself. What fails or diverges
@@ -29,7 +29,7 @@ from ._chart import charts
 from ._combine_points import GLSL, combine_points
 from ._fit_points import fit_points
 from ._measure import copy_bandwidth, machine
-from ._page import page_html
+from ._page import put, write_page
 from ._peers import installed
 from ._plans import FULL, Plan, steps_of
 from ._point import Point, finite
@@ -79,7 +79,7 @@ def run_bench(
     tell: Tell = lambda step, share=None: None,
 ) -> Frontier:
     """Measure, and write into a folder `frontier.csv`, the points; `.json`, machine, versions, seed
-    and what was left out; `.html`, `.png` and `.svg`.
+    and what was left out; `.png` and `.svg`; and the page `bench.html`.
 
     Args:
         scenes: scene files, in place of those built in.
@@ -269,12 +269,7 @@ def _write(folder: Path, frontier: Frontier, axis: str) -> None:
 
     write_whole(folder / "frontier.csv", write_csv)
     text = json.dumps(frontier.about(), indent=2, allow_nan=False) + "\n"
-    write_whole(folder / "frontier.json", partial(_put, text.encode()))
+    write_whole(folder / "frontier.json", partial(put, text.encode()))
     for suffix, picture in charts(frontier.points, axis).items():
-        write_whole(folder / f"frontier.{suffix}", partial(_put, picture))
-    page = page_html(frontier.about(), frontier.points, axis)
-    write_whole(folder / "frontier.html", partial(_put, page.encode()))
-
-
-def _put(content: bytes, path: Path) -> None:
-    path.write_bytes(content)
+        write_whole(folder / f"frontier.{suffix}", partial(put, picture))
+    write_page(folder)

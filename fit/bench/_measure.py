@@ -29,7 +29,17 @@ STILL = 5
 """An error stands still when after so many more budgets, eight times the first, it is not below
 this share of what it was: a damped solver may try some steps before it takes one."""
 
-_PACKAGES = ("airlight", "jax", "numpy", "scipy", "optimistix", "moderngl", "optax", "lmfit")
+_PACKAGES = (
+    "airlight",
+    "jax",
+    "numpy",
+    "scipy",
+    "optimistix",
+    "moderngl",
+    "mpmath",
+    "optax",
+    "lmfit",
+)
 
 
 def measure(run: Callable[[], T], repeats: int = REPEATS) -> tuple[T, Times]:

@@ -1,12 +1,21 @@
-"""`frontier.html`: the charts, who was first, and every point; nothing from outside."""
+"""`bench.html`: charts, who was first, every point, and what is stable; nothing from outside.
 
+`airlight bench` and `airlight stress` both write it, of what either has left in the folder.
+"""
+
+import json
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
+
+from render_gl import write_whole
 
 from .._numbers import number
 from ..report._report import page_template
 from ._chart import panel_svg, panels
-from ._point import MEANINGS, Point
+from ._point import MEANINGS, Point, read_points
 
 LEVELS = (1e-2, 1e-4, 1e-6, 1e-9, 1e-12)
 """Errors of parameters that somebody may want."""
@@ -15,10 +24,93 @@ OURS = "airlight"
 """What our methods' names begin with."""
 
 
-def page_html(facts: dict[str, Any], points: Sequence[Point], axis: str) -> str:
-    """The page as text."""
+PAGE = "bench.html"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of words, as `stress.json` has it."""
+
+    title: str
+    about: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    marked: tuple[int, ...] = ()
+    """Rows to look at."""
+
+    @classmethod
+    def of(cls, data: dict[str, Any]) -> "Table":
+        """Of JSON data."""
+        rows = tuple(tuple(row) for row in data["rows"])
+        return cls(
+            data["title"], data["about"], tuple(data["columns"]), rows, tuple(data["marked"])
+        )
+
+
+def write_page(folder: Path) -> None:
+    """Write the page of a folder's `frontier.csv` and `stress.json`, if it has them.
+
+    A file that another version wrote, or that is none of ours, is left out; the page says so.
+    """
+    left_out: list[str] = []
+    facts, points = _frontier_of(folder, left_out) or ({}, [])
+    stress, tables = _stress_of(folder, left_out) or ({}, [])
+    page = page_html(facts, points, stress, tables, left_out)
+    write_whole(folder / PAGE, partial(put, page.encode()))
+
+
+def put(content: bytes, path: Path) -> None:
+    """Write a file."""
+    path.write_bytes(content)
+
+
+def _frontier_of(folder: Path, left_out: list[str]) -> tuple[dict[str, Any], list[Point]] | None:
+    path = folder / "frontier.csv"
+    if not path.exists():
+        return None
+    try:
+        facts = json.loads((folder / "frontier.json").read_text(encoding="utf-8"))
+        found = dict(facts), read_points(path)
+        facts["machine"]["versions"], facts["axis"], facts["left_out"]
+    except _FOREIGN as error:
+        left_out.append(f"{path.name}: cannot be read ({type(error).__name__}: {error})")
+        return None
+    return found
+
+
+def _stress_of(folder: Path, left_out: list[str]) -> tuple[dict[str, Any], list[Table]] | None:
+    path = folder / "stress.json"
+    if not path.exists():
+        return None
+    try:
+        facts = json.loads(path.read_text(encoding="utf-8"))
+        facts["machine"]["versions"]
+        return dict(facts), [Table.of(table) for table in facts["tables"]]
+    except _FOREIGN as error:
+        left_out.append(f"{path.name}: cannot be read ({type(error).__name__}: {error})")
+        return None
+
+
+_FOREIGN = (OSError, ValueError, KeyError, TypeError)
+"""What reading a file of another version ends in."""
+
+
+def page_html(
+    facts: dict[str, Any],
+    points: Sequence[Point],
+    stress: dict[str, Any] | None = None,
+    tables: Sequence[Table] = (),
+    left_out: Sequence[str] = (),
+) -> str:
+    """The page as text.
+
+    Args:
+        facts: `Frontier.about`; empty where there is no frontier.
+        stress: date and machine of the tables.
+        left_out: more than the facts say.
+    """
     rows = {id(point): k for k, point in enumerate(points)}
-    found = panels(points, axis)
+    axis = facts.get("axis", "time")
     charts = [
         {
             "area": panel.area,
@@ -26,13 +118,16 @@ def page_html(facts: dict[str, Any], points: Sequence[Point], axis: str) -> str:
             "error": MEANINGS[panel.error],
             "svg": panel_svg(panel, axis, k, rows),
         }
-        for k, panel in enumerate(found)
+        for k, panel in enumerate(panels(points, axis))
     ]
-    return page_template("fit.bench", "frontier.html").render(
+    return page_template("fit.bench", PAGE).render(
         facts=facts,
         charts=charts,
         first=who_is_first(points),
         rows=[_row(point) for point in points],
+        stress=stress or {},
+        tables=tables,
+        left_out=[*facts.get("left_out", ()), *left_out],
     )
 
 

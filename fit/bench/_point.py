@@ -1,9 +1,11 @@
 """One point of the frontier: a setting, what it cost, and how far off it was."""
 
+import csv
 import math
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from statistics import median
-from typing import Any, Literal
+from typing import Any, Literal, get_type_hints
 
 Area = Literal["render", "combine", "fit"]
 
@@ -120,6 +122,24 @@ def finite(point: Point) -> Point:
         return point
     words = f"{', '.join(broken)} not finite"
     return replace(point, **broken, status="failed", note=words)  # type: ignore[arg-type]
+
+
+def read_points(path: Path) -> list[Point]:
+    """All rows of a `frontier.csv`."""
+    kinds = get_type_hints(Point)
+    with open(path, newline="", encoding="utf-8") as stream:
+        return [
+            Point(**{f.name: _read(row[f.name], kinds[f.name]) for f in fields(Point)})
+            for row in csv.DictReader(stream)
+        ]
+
+
+def _read(text: str, kind: Any) -> Any:
+    if kind is str or "Literal" in str(kind):
+        return text
+    if text == "":
+        return None
+    return int(text) if "int" in str(kind) else float(text)
 
 
 def pareto(points: list[Point], error: str, axis: str = "time") -> list[Point]:

@@ -24,7 +24,7 @@ from render_gl._accuracy import smooth, width_pair
 from render_gl._draw import draw
 
 from .._compile import float64
-from ._exact import HAS_80_BITS, exact_widths
+from ._exact import DIGITS, exact_widths
 from ._measure import codes_apart, measure
 from ._point import Point, timed
 
@@ -162,11 +162,11 @@ def _judged(case: Drawn, scene: Scene, point: Point, layers: Layers, image: Any)
 
 
 def _rounded(case: Drawn, scene: Scene, point: Point, layers: Layers) -> Point:
-    """The oracle, against 80-bit numbers of some pixels."""
+    """The oracle, against numbers of many digits of some pixels."""
     size, speed = layers_bytes(layers), _per_second(point)
     point = replace(point, status="oracle", bytes=size, per_second=speed)
-    if not HAS_80_BITS or scene.occluders:
-        return replace(point, note="no higher precision here to hold it against")
+    if scene.occluders:
+        return replace(point, note="not held against more digits: there are moons")
     lit, dark = widths(layers)
     air = np.argwhere(lit + dark > 0)
     if not len(air):
@@ -180,7 +180,7 @@ def _rounded(case: Drawn, scene: Scene, point: Point, layers: Layers) -> Point:
         width_max=float(apart.max()),
         width_p999=float(np.percentile(apart, 99.9)),
         width_rms=float(np.sqrt(np.mean(apart**2))),
-        note=f"against 80-bit numbers, {SAMPLE:,} pixels of air",
+        note=f"against {DIGITS} digits, {SAMPLE:,} pixels of air",
     )
 
 

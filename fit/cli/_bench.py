@@ -1,21 +1,36 @@
 """`airlight bench` between the command line and the measuring: what is asked, and what is said."""
 
 import json
-from collections.abc import Sequence
-from typing import Literal
+from typing import Annotated, Literal
+
+import typer
 
 from model_jax._errors import InputError, printable
 
+from ._options import JsonOption
 from ._outputs import prepare_folder
 from ._progress import computing, console
 
 CostAxis = Literal["time", "evaluations", "bytes"]
 
 
-def measure(
-    out: str, quick: bool, scenes: Sequence[str], photo: str | None, axis: CostAxis, as_json: bool
+def bench(
+    out: Annotated[str, typer.Option("-o", "--out", metavar="DIR", help="Folder for the files.")],
+    quick: Annotated[
+        bool, typer.Option(help="Small pictures and fewer settings: a minute.")
+    ] = False,
+    scene: Annotated[
+        list[str] | None,
+        typer.Option(metavar="SCENE", help="A scene file, in place of those built in; repeatable."),
+    ] = None,
+    photo: Annotated[
+        str | None, typer.Option(metavar="PHOTO", help="Of the first scene, in place of its own.")
+    ] = None,
+    axis: Annotated[CostAxis, typer.Option(help="What charts count costs in.")] = "time",
+    as_json: JsonOption = False,
 ) -> None:
-    """Measure, write, and say who was first."""
+    """Measure error against run time: renders, the combine step, fits and their peers."""
+    scenes = scene or ()
     if photo is not None and not scenes:
         raise InputError("--photo: needs the --scene that it was taken in")
     folder = prepare_folder(out)
@@ -41,4 +56,4 @@ def measure(
     said.print(table)
     for line in found.left_out:
         said.print(f"left out: {line}", style="dim", markup=False, highlight=False)
-    said.print(f"{printable(out)}/frontier.html, .csv, .json, .png, .svg", markup=False)
+    said.print(f"{printable(out)}/bench.html, frontier.csv, .json, .png, .svg", markup=False)

@@ -1,8 +1,9 @@
-"""The command line: `airlight render | fit | check | export | looks | bench | version`.
+"""The command line: `airlight render | fit | check | export | looks | bench | stress |
+version`.
 
-Exit codes: 0 done (and, with a warning, a fit at a bound); 1 the check failed or the fit has
-another verdict, such as a look that does not match (--accept-misfit: 0); 2 bad input, in one line
-on standard error with a remedy; 70 a bug (`_guard`).
+Exit codes: 0 done (and, with a warning, a fit at a bound); 1 a check or `stress` failed or the
+fit has another verdict, such as a look that does not match (--accept-misfit: 0); 2 bad input, in
+one line on standard error with a remedy; 70 a bug (`_guard`).
 
 Nothing that computes is imported here: help, exports and wrong options have their answer before
 JAX, which takes seconds, is asked for (`_progress.computing`).
@@ -25,7 +26,7 @@ from .._choices import LayerSource, LossName, SolverName, Where, check_steps
 from ..report._export import Format, export_text, write_export
 from ..report._fitted import read_fit
 from . import _assignments as assignments
-from ._bench import CostAxis, measure
+from ._bench import bench
 from ._drawing import NOTHING_IN_VIEW, draw_scene, in_view, parse_size, write_png
 from ._guard import command_line, devices_found, guard, tell
 from ._options import (
@@ -43,6 +44,7 @@ from ._options import (
 )
 from ._outputs import check_folder, prepare_folder, versions
 from ._progress import computing, console, say
+from ._stress import stress
 
 app = typer.Typer(
     rich_markup_mode=None,
@@ -361,24 +363,8 @@ def looks(
     say(as_json, found, looks_text(found, fields))
 
 
-@app.command()
-def bench(
-    out: Annotated[str, typer.Option("-o", "--out", metavar="DIR", help="Folder for the files.")],
-    quick: Annotated[
-        bool, typer.Option(help="Small pictures and fewer settings: a minute.")
-    ] = False,
-    scene: Annotated[
-        list[str] | None,
-        typer.Option(metavar="SCENE", help="A scene file, in place of those built in; repeatable."),
-    ] = None,
-    photo: Annotated[
-        str | None, typer.Option(metavar="PHOTO", help="Of the first scene, in place of its own.")
-    ] = None,
-    axis: Annotated[CostAxis, typer.Option(help="What charts count costs in.")] = "time",
-    as_json: JsonOption = False,
-) -> None:
-    """Measure error against run time: renders, the combine step, fits and their peers."""
-    measure(out, quick, scene or (), photo, axis, as_json)
+app.command()(bench)
+app.command()(stress)
 
 
 @app.command()

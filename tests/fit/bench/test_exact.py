@@ -1,11 +1,11 @@
-"""Two ways to exact widths that share no line: world axes in 80 bits, eye axes in float64."""
+"""Two ways to exact widths that share no line: world axes in 50 digits, eye axes in float64."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from fit._compile import float64
-from fit.bench._exact import HAS_80_BITS, exact_widths
+from fit.bench._exact import exact_widths
 from fit.bench._render_points import widths
 from fit.bench._scenes import extreme, synthetic
 from model_jax import Scene, analytic_layers
@@ -22,7 +22,6 @@ def _scenes() -> dict[str, Scene]:
     return files | {"synthetic": synthetic(640, 512), "extreme": extreme()}
 
 
-@pytest.mark.skipif(not HAS_80_BITS, reason="NumPy's long double is a double here")
 @pytest.mark.parametrize("name", ["paper", "reference", "rim", "gradient", "synthetic", "extreme"])
 def test_float64_has_its_digits(name: str) -> None:
     """Rounding of a ray's place, some eps of the camera's distance in shell heights, moves a

@@ -107,15 +107,14 @@ def test_finer_is_nearer(bench: tuple[Frontier, Path]) -> None:
 
 
 def test_oracles_are_at_rounding(bench: tuple[Frontier, Path]) -> None:
-    """float64's widths against 80-bit numbers, and the optimum against another solver's."""
+    """float64's widths against 50 digits, and the optimum against another solver's."""
     frontier = bench[0]
     exact = [p for p in frontier.points if "analytic, float64" in p.setting]
-    if "80-bit" in exact[0].note:
-        assert exact[0].width_max is not None
-        # Near the limb a width has half the digits of what it is the root of.
-        assert exact[0].width_max < np.sqrt(np.finfo(np.float64).eps)
-        assert exact[0].width_rms is not None
-        assert exact[0].width_rms < 1e-12
+    assert exact[0].width_max is not None
+    # Near the limb a width has half the digits of what it is the root of.
+    assert exact[0].width_max < np.sqrt(np.finfo(np.float64).eps)
+    assert exact[0].width_rms is not None
+    assert exact[0].width_rms < 1e-12
     by = dict(curves(frontier, "fit"))
     assert by["airlight"][0].parameters is not None
     assert by["airlight"][0].parameters < OPTIMUM
@@ -165,7 +164,7 @@ def test_files_hold_what_was_measured(bench: tuple[Frontier, Path]) -> None:
 
 def test_the_page_stands_alone_and_leads_to_every_point(bench: tuple[Frontier, Path]) -> None:
     frontier, folder = bench
-    page = (folder / "frontier.html").read_text()
+    page = (folder / "bench.html").read_text()
     outside = re.findall(r"""(?:src|href)=["'](?!#)[^"']*""", page)
     assert not [link for link in outside if not link.startswith('href="#')], outside
     assert "wanted" not in page
@@ -193,7 +192,7 @@ def test_what_diverged_is_a_mark_of_its_own() -> None:
     (panel,) = panels([lost, found], "time")
     assert panel.points == (found,)
     assert panel.lost == (lost,)
-    page = page_html({"left_out": [], **ABOUT}, [lost, found], "time")
+    page = page_html({"left_out": [], **ABOUT}, [lost, found])
     assert 'id="p0-0"' in page
     assert '<span class="status">diverged</span> not finite' in page
 

@@ -1,0 +1,1 @@
+"""Tests of the fits that are hard on purpose."""
