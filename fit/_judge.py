@@ -36,9 +36,13 @@ from .solve._parameters import (
     to_look,
     to_responses,
 )
+from .solve._polish import gauss_newton
 from .solve._problem import Point, Problem
 from .solve._search import End
 from .solve._task import Task
+
+NEAR = 3.0
+"""Standard errors beyond its bound up to which the best value may be by noise alone."""
 
 
 def with_warnings(result: FitResult, warnings: Sequence[str]) -> FitResult:
@@ -58,7 +62,18 @@ def evidence_of(
         return None
     point = Point(problem, end.vector, free_directions(end.free, task.parameters)[0])
     noise = noise_of(task, problem, end, residuals)
-    spread = spread_of(point, task.sizes, residuals, noise, ROUNDING * problem.light_max)
+    rounding = ROUNDING * problem.light_max
+    spread = spread_of(point, task.sizes, residuals, noise, rounding)
+    ended = [p for p in end.at_bound if not p.mean_one]
+    if ended:
+        directions, moved = free_directions((*end.free, *ended), task.parameters)
+        beside = replace(point, directions=directions)
+        gram = beside.gram()
+        if gram[:-1, -1] @ gauss_newton(gram) <= NEAR**2 * noise**2 * spread.area:
+            # Noise alone may have brought them there: the others bear what they may be.
+            wider = spread_of(beside, task.sizes, residuals, noise, rounding).covariance
+            kept = [k for k, members in enumerate(moved) if not set(members) & set(ended)]
+            spread = replace(spread, covariance=wider[np.ix_(kept, kept)])
     return Evidence(task, end, point, tuple(_identified(task, end)), spread, noise)
 
 

@@ -211,6 +211,8 @@ OWN |= {f"render_gl/glsl/looks/{name}.glsl" for name in ("layers", "air", "rim",
 
 NAMES = {
     "fit/bench/_scenes.py": "synthetic photos are made by looks with known numbers",
+    "fit/stress/_fit_cases.py": "photos are made by looks with known numbers",
+    "fit/stress/_random_fits.py": "photos are made by looks with random numbers",
     "model_jax/__init__.py": "shows how the package is used",
     "fit/diagnose/_patterns.py": "the word for how bright something is",
     "fit/report/templates/report.html": "the word for how bright something is",
@@ -229,6 +231,7 @@ GEOMETRY = {
     *(f"render_gl/glsl/{n}" for n in ("combine.frag", "depth.frag", "fields.glsl", "rays.glsl")),
     "render_gl/glsl/volume.vert",
     "fit/bench/_exact.py",
+    "fit/stress/_render_cases.py",
     "fit/cli/_written.py",  # which pixels are mostly in shadow
     "fit/photo/_pixels.py",  # edges of the shadow
     "fit/photo/_widths.py",
@@ -257,5 +260,5 @@ def test_no_product_file_asks_which_look_it_is() -> None:
     allowed = {"model_jax/__init__.py", "model_jax/__init__.pyi", "model_jax/looks/_registry.py"}
     allowed |= {f"render_gl/_{name}.py" for name in ("render", "scene_file")}
     allowed |= {f"fit/{name}.py" for name in ("_fit", "cli/_job", "photo/_columns")}
-    allowed.add("fit/bench/_scenes.py")
+    allowed |= {"fit/bench/_scenes.py", "fit/stress/_fit_cases.py"}
     assert spelled("LayersLook") <= allowed

@@ -137,6 +137,14 @@ def why_no_data(
     count = sum(px.count for px in pixels)
     if count < need:
         return f"the number of pixels that can be used is {count}, needed are {need}"
+    measured = sum(
+        3 * len(c.index) if c.clipped is None else int((c.clipped == 0).sum()) for c in columns
+    )
+    if measured < 3 * need:
+        return (
+            f"the number of samples that are neither black nor white is {measured}, needed are "
+            f"{3 * need}"
+        )
     return None
 
 

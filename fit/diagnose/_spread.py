@@ -15,7 +15,7 @@ and McCaffrey, "Bias reduction in standard errors for linear regression with mul
 Survey Methodology 28, 2002; CR2 in Cameron and Miller, J. Human Resources 50, 2015). Leverages are
 by the slopes alone: second derivatives times noise are noise.
 
-H is the full second derivative, of the loss and of the model.
+H is the full second derivative, of the loss and of the model, as far as slopes bear it out.
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,11 @@ FEWEST_BLOCKS = 20
 blocks is itself uncertain by 1 / sqrt(2n), 16 % at 20."""
 MOST_LEVERAGE = 0.95
 """A block's highest: where a parameter hangs on one block alone its noise cannot be seen, and the
-stretch stops at 4.5 instead of at infinity."""
+stretch stops at 4.5 instead of at infinity; what is missing then is that of all (`_unseen`)."""
+MOST_CURVED = 1.5
+"""The second derivative at most, as a share of the squares of slopes, which it is where the model
+is linear. The rest is second derivatives times what is left over: along a valley in which slopes
+tell nearly nothing that is noise, and would pass for knowledge."""
 NORMAL_95 = 1.959963984540054
 """Standard errors to either side of a 95 % interval of a normal distribution."""
 
@@ -149,10 +153,10 @@ def spread_of(
     leverage = whiten.T @ squares @ whiten
     whitened = np.einsum("gij,gj->gi", stretch_of(leverage), scores @ whiten)
     middle = whitened.T @ whitened * _border_share(products, side)
-    middle += noise**2 * whiten.T @ prior @ whiten
+    middle += noise**2 * (area * _unseen(leverage) + whiten.T @ prior @ whiten)
     middle += rounding**2 * leverage.sum(axis=0)
     middle += whiten.T @ _planet_noise(point) @ whiten
-    root = whiten @ np.linalg.inv(whiten.T @ hessian @ whiten)
+    root = whiten @ np.linalg.inv(_not_steeper(whiten.T @ hessian @ whiten))
     covariance = root @ middle @ root.T
     return Spread(covariance, hessian, length, side, blocks, area, root, leverage)
 
@@ -292,6 +296,25 @@ def stretch_of(leverage: Float[np.ndarray, "blocks p p"]) -> Float[np.ndarray, "
     # A robust loss or a strongly curved model can make a block's share negative.
     stretched = 1 / np.sqrt(1 - np.clip(values, 0, MOST_LEVERAGE))
     return np.asarray((vectors * stretched[:, None, :]) @ vectors.swapaxes(1, 2))
+
+
+def _not_steeper(curved: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
+    """A second derivative in units of the squares of slopes, with eigenvalues up to
+    `MOST_CURVED`."""
+    values, vectors = np.linalg.eigh(curved)
+    return np.asarray((vectors * np.minimum(values, MOST_CURVED)) @ vectors.T)
+
+
+def _unseen(leverage: Float[np.ndarray, "blocks p p"]) -> Float[np.ndarray, "p p"]:
+    """What the stretched scores lack of their variance where the stretch stops, noise being 1.
+
+    A share b of a block's leverage has scores of variance b (1 - b) of what is left over, b of the
+    noise itself; stretched by `(1 - MOST_LEVERAGE)^-½` they lack the rest.
+    """
+    values, vectors = np.linalg.eigh(leverage)
+    seen = np.minimum((1 - values) / (1 - MOST_LEVERAGE), 1.0)
+    lacking = np.clip(values, 0, 1) * (1 - np.maximum(seen, 0.0))
+    return np.einsum("gij,gj,gkj->ik", vectors, lacking, vectors)
 
 
 def _border_share(products: Sequence[np.ndarray], side: int) -> float:

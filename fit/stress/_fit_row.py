@@ -43,7 +43,7 @@ class FitRow:
     float32: float | None
     """The same of a traced fit in float32, from the fit's own values; None where it has none."""
     untold: str
-    """What has no interval, and by what that is said: "shadow (held)"."""
+    """What has no interval, and by what that is said: "opacity (held)"."""
     kept: bool
     """The promise."""
     note: str

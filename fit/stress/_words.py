@@ -21,8 +21,9 @@ _NUMBERS = (
 _FITS = (
     "Photos made with a known look. Promised is that no fit calls itself converged and is off by "
     "more than five half-lengths of its 95 % interval, that what has no interval is named, and "
-    "that nothing is NaN or infinite. float32 is a traced fit, in typical sizes from the one in "
-    "float64."
+    "that nothing is NaN or infinite. Intervals are for what is held as it is held: where a fit "
+    "holds what the photo does not tell, it is made again with that as known, and the row says so. "
+    "float32 is a traced fit, in typical sizes from the one in float64."
 )
 _RANDOM = "Random planets, places, looks, starts and noise; the promise is the same."
 
