@@ -19,6 +19,13 @@ if TYPE_CHECKING:
 def stress(
     out: Annotated[str, typer.Option("-o", "--out", metavar="DIR", help="Folder for the files.")],
     quick: Annotated[bool, typer.Option(help="A quarter of the cases, and few looks.")] = False,
+    look: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="LOOK",
+            help="Only this look, by its name or Python file; repeatable.",
+        ),
+    ] = None,
     fits: Annotated[
         int | None, typer.Option(metavar="N", min=0, help="Random fits [1000, quick 40].")
     ] = None,
@@ -36,10 +43,10 @@ def stress(
     with computing(keep=False) as step:
         from dataclasses import replace
 
-        from ..stress._plans import FULL, QUICK
+        from ..stress._plans import FULL, QUICK, Plan
         from ..stress._stress import SEED, run_stress
 
-        plan = QUICK if quick else FULL
+        plan = Plan.only(look) if look else QUICK if quick else FULL
         plan = plan if fits is None else replace(plan, fits=fits)
         found = run_stress(folder, plan, SEED if seed is None else seed, step)
     if as_json:
@@ -56,8 +63,9 @@ def _tell(found: "Stress", out: str) -> None:
 
     counted = sorted(verdicts(found.numbers).items())
     _print_table(("where", "verdict", "cases"), [(*key, str(many)) for key, many in counted])
-    random = tables(found.numbers, found.fits, found.random)[-1]
-    _print_table(random.columns, random.rows)
+    if found.random:
+        random = tables(found.numbers, found.fits, found.random)[-1]
+        _print_table(random.columns, random.rows)
     said = console()
     for row in found.broken:
         said.print(f"broken: {row.case}: {row.note}", style="yellow", markup=False, highlight=False)

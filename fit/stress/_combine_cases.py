@@ -54,12 +54,12 @@ DENORMAL = "exposure times light is below 1e-38, which float32 takes for black"
 def combine_probes(names: tuple[str, ...] = LOOKS) -> Iterator[Probe]:
     """Each look as it is, and with each of its numbers at either end."""
     scene = synthetic(40, 32)
-    for name in names:
-        yield from _of_look(name, scene)
+    for kind in [find_look(name) for name in names]:  # a wrong name is found out first
+        yield from _of_look(kind, scene)
 
 
-def _of_look(name: str, scene: Scene) -> Iterator[Probe]:
-    kind = find_look(name)
+def _of_look(kind: type[Look], scene: Scene) -> Iterator[Probe]:
+    name = kind.NAME
     shell = float(scene.atmosphere.height)
     look = kind(**{n: _full(p, shell / 7) for n, p in _lengths(kind).items()})
     fields = _fields(scene, look)
@@ -70,7 +70,8 @@ def _of_look(name: str, scene: Scene) -> Iterator[Probe]:
         numbers, fields, color = given
         whole: Look = eqx.combine(numbers, rest)
         air = air_light(whole, fields, color)
-        white = jnp.ones_like(air.light)
+        dims = air.transmittance is not None or air.alpha is not None
+        white = jnp.ones_like(air.light) if dims else None
         return jnp.asarray(compose(air, white, 0.0, whole.BLEND))
 
     program = Program(light, cast((numbers, fields, color), jnp.float64))

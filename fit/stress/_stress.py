@@ -79,18 +79,19 @@ def run_stress(
         seed: of the random fits.
 
     Raises:
-        InputError: the folder cannot be written.
+        InputError: a look cannot be found, or needs fields that no analytic layers have; the folder
+            cannot be written.
     """
     probes = chain(
-        islice(render_probes(), 0, None, plan.every),
+        islice(render_probes(), 0, None, plan.every) if plan.every else (),
         combine_probes(plan.looks),
-        islice(record_probes(), 0, None, plan.every),
+        islice(record_probes(), 0, None, plan.every) if plan.every else (),
     )
     numbers = []
     for probe in probes:
         tell(f"{probe.area}: {probe.case}")
         numbers.append(measured(probe))
-    fits = tuple(fit_rows(tell, plan.hard))
+    fits = tuple(fit_rows(tell, plan.hard)) if plan.hard else ()
     random = tuple(random_fits(plan.fits, seed, tell, plan.kinds))
     facts = {"date": date.today().isoformat(), "machine": machine(), "seed": seed}
     stress = Stress(tuple(numbers), fits, random, facts)

@@ -15,8 +15,8 @@ _NUMBERS = (
     "number given, as a share of the largest. Renders: widths of air, against intersections in 50 "
     "digits, with slopes by each number of the scene; in brackets what one rounding of the given "
     "numbers does by itself, which no formula can undo. Combine: a look with a number at an end of "
-    "its range (10¹² where it has none), light before white ground. Record: tone curves. A quarter "
-    "of a code of 8 bits holds; each loss says why."
+    "its range (10¹² where it has none), light before white ground if it dims it. Record: tone "
+    "curves. A quarter of a code of 8 bits holds; each loss says why."
 )
 _FITS = (
     "Photos made with a known look. Promised is that no fit calls itself converged and is off by "
@@ -32,7 +32,8 @@ def tables(
     numbers: Sequence[NumberRow], fits: Sequence[FitRow], random: Sequence[FitRow]
 ) -> list[Table]:
     """What the page shows."""
-    return [_number_table(numbers), _fit_table(fits), _random_table(random)]
+    every = [_number_table(numbers), _fit_table(fits), _random_table(random)]
+    return [table for table, rows in zip(every, (numbers, fits, random), strict=True) if rows]
 
 
 def _number_table(rows: Sequence[NumberRow]) -> Table:

@@ -13,9 +13,12 @@ from scipy.stats import t as student
 from fit import Photo, fit
 from fit.diagnose._autocorrelation import correlation
 from fit.diagnose._spread import (
+    MOST_CURVED,
     MOST_LEVERAGE,
     Spread,
     _border_share,
+    _not_steeper,
+    _unseen,
     inverse_root,
     reach_95,
     stretch_of,
@@ -254,3 +257,44 @@ def test_influence_is_the_slope_of_refits(tiny: tuple[Layers, Photo]) -> None:
                 values.append(fit(moved, layers, TINY_LOOK, free=FREE).parameters[name].value)
             slope = (values[0] - values[1]) / 2e-4
             assert slope == pytest.approx(influence[place], rel=1e-4, abs=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, MOST_LEVERAGE, 0.97, 1.0])
+def test_what_a_block_hides_is_put_back(share: float) -> None:
+    """A share b of one block, 1 - b of another: scores of b (1 - b) each, stretched as far as it
+    goes, and what they lack, are the variance 1 of the whole."""
+    leverage = np.array([[[share]], [[1 - share]]])
+    seen = sum((stretch_of(b[None])[0, 0, 0] ** 2) * b[0, 0] * (1 - b[0, 0]) for b in leverage)
+    assert seen + _unseen(leverage)[0, 0] == pytest.approx(1.0, rel=1e-12)
+
+
+def test_curvature_that_slopes_do_not_bear_out_is_not_believed(rng: np.random.Generator) -> None:
+    turned, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+
+    def curved(*values: float) -> np.ndarray:
+        return np.asarray(turned * np.array(values)) @ turned.T
+
+    np.testing.assert_allclose(_not_steeper(curved(0.6, 1.0, 1.2)), curved(0.6, 1.0, 1.2))
+    np.testing.assert_allclose(_not_steeper(curved(0.6, 1.0, 1e4)), curved(0.6, 1.0, MOST_CURVED))
+
+
+def test_others_bear_what_noise_alone_put_at_its_end(layers64: Layers) -> None:
+    """A background of 0, which noise puts below in every other photo: errors of the others are
+    then those of a fit in which it may be below."""
+    look = replace(TRUTH, background=0.0)
+    with jax.enable_x64(True):
+        light = picture(layers64, look).astype(np.float64)
+    ended = 0
+    for seed in range(6):
+        noise = np.random.default_rng(seed).normal(scale=0.02 * light.max(), size=light.shape)
+        bound = fit(light + noise, layers64, START, sampling="point")
+        below = fit(
+            light + noise, layers64, START, sampling="point", bounds={"background": (-1.0, 1.0)}
+        )
+        if bound.parameters["background"].role != "at_bound":
+            continue
+        ended += 1
+        for name in bound.correlation_names:
+            one, other = bound.parameters[name].stderr, below.parameters[name].stderr
+            assert one == pytest.approx(other, rel=0.05), (seed, name)
+    assert ended >= 1

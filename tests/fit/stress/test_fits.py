@@ -17,6 +17,7 @@ from model_jax import InputError
 
 SAMPLE = (
     "shadow in 10 pixels",
+    "shadow in 1 pixel",
     "widths proportional",
     "no noise",
     "noise as large as the light",
