@@ -291,17 +291,20 @@ def _covariance_and_verdict(
     count = 3 * tile.weight.sum()
     unit, size = unit_diagonal(curved)
     near = jnp.stack([_near_bound(entries, q) for q in free])
-    # Along what stands at a bound and would go beyond, nothing is promised and nothing is told.
+    eps = float(jnp.finfo(dtype).eps)
+    brightest = jnp.abs(tile.light).max()
+    # Along what stands at a bound and would go beyond, nothing is promised and nothing is told. A
+    # gradient of residuals that are rounding, each to some eps of the brightest, goes nowhere.
+    nowhere = 8 * eps * brightest * jnp.sqrt(count * jnp.diagonal(curved))
     stuck = jnp.zeros(p, bool)
     for k, q in enumerate(free):
         if not q.mean_one:
             moves = jnp.asarray(directions[q.entries[0]] != 0)
-            stuck |= moves & (near[k] != 0) & (near[k] * gradient > 0)
+            stuck |= moves & (near[k] != 0) & (near[k] * gradient > nowhere)
     either = stuck[None] | stuck[:, None]
     scaled = jnp.where(either, jnp.eye(p, dtype=dtype), unit)
     gradient = jnp.where(stuck, 0, gradient)
     values, vectors = jnp.linalg.eigh(scaled)
-    eps = float(jnp.finfo(dtype).eps)
     floor = 64 * p * eps
     is_flat = (values[0] <= floor) | ~(jnp.diagonal(curved) > 0).all()
     inverse_values = jnp.where(values > floor, 1 / jnp.maximum(values, floor), 0)
@@ -313,7 +316,6 @@ def _covariance_and_verdict(
     sums = jax.ops.segment_sum(scores, jnp.asarray(blocks), number)
     middle = sums.T @ sums * (number / max(number - p, 1))
     spread = identified @ inverse
-    brightest = jnp.abs(tile.light).max()
     rounding = count * (eps * brightest) ** 2
     code = jnp.where((near != 0).any(), Verdict.AT_BOUND, Verdict.CONVERGED)
     code = jnp.where(is_flat, Verdict.NOT_IDENTIFIABLE, code)

@@ -25,7 +25,7 @@ from model_jax._fields import fields_of
 from model_jax._parameter import LENGTH, Parameter
 
 from ..bench._scenes import EVERY, THIN, synthetic
-from ._number_row import Probe, Program, cast
+from ._number_row import EPS, Cause, Probe, Program, cast
 
 LOOKS = (
     "layers",
@@ -47,7 +47,7 @@ FAR = 1e12
 NIGHT = 1e-30
 """Light far below any camera's."""
 
-THINNEST = "heights have steps of a hundredth of such a scale height"
+THINNEST = "heights have steps that are no small share of such a scale height"
 DENORMAL = "exposure times light is below 1e-38, which float32 takes for black"
 
 
@@ -83,7 +83,9 @@ def _of_look(kind: type[Look], scene: Scene) -> Iterator[Probe]:
             full = jnp.full_like(getattr(numbers, parameter), value)
             given = eqx.tree_at(attrgetter(parameter), numbers, full)
             words = f"{name}: {parameter} {value:g}"
-            cause = THINNEST if about.unit == LENGTH and value < shell else ""
+            cause = (
+                Cause(THINNEST, EPS["float32"] * shell / value) if about.unit == LENGTH else None
+            )
             yield Probe("combine", words, program, (given, fields, color), cause=cause)
 
 
@@ -142,7 +144,7 @@ def record_probes() -> Iterator[Probe]:
     for name, (curve, numbers) in curves.items():
         for where, values in (("from night to white", light), ("black", black)):
             given = cast((values, *numbers), jnp.float64)
-            cause = DENORMAL if "1e-12" in name else ""
+            cause = Cause(DENORMAL, 1.0) if "1e-12" in name else None
             case = f"{name}: {where}"
             yield Probe("record", case, Program(curve, given), given, cause=cause)
 

@@ -1,4 +1,4 @@
-"""One row of `stress_numbers.csv`: a computation at its limits, in float32, float64 and 50 digits.
+"""One row of `stress.csv`: a computation at its limits, in float32, float64 and 50 digits.
 
 A loss has a name where no formula could avoid it: the given numbers, each moved by one rounding of
 that precision, move the exact result as far.
@@ -64,6 +64,15 @@ class NumberRow:
     note: str = ""
 
 
+@dataclass(frozen=True)
+class Cause:
+    """Of a loss: what it is, and how much it explains."""
+
+    words: str
+    most: float
+    """Largest error of float32; of float64 it is `EPS` times less."""
+
+
 class Program:
     """A function and its slopes, in each precision and in 50 digits, made once for many probes.
 
@@ -99,7 +108,7 @@ class Probe:
     plain: Callable[[str], Float[np.ndarray, "..."]] | None = None
     """The result by name of the precision, where it is not the program's in that."""
     opengl: Callable[[], Float[np.ndarray, "..."]] | None = None
-    cause: str = ""
+    cause: Cause | None = None
     """Why more is lost than one rounding of what is given explains."""
 
 
@@ -114,7 +123,7 @@ def measured(probe: Probe) -> NumberRow:
     """The row of a probe; JAX's x64 has to be on."""
     row = partial(NumberRow, probe.area, probe.case)
     try:
-        return judged(row(**_errors(probe), note=probe.cause))
+        return judged(row(**_errors(probe)), probe.cause)
     except AirlightError as error:
         return row(verdict="refused", note=str(error).partition("\n")[0])
     except NotImplementedError as error:
@@ -178,31 +187,39 @@ def _pairs(tree: Arrays, size: Arrays) -> list[tuple[np.ndarray, float]]:
     return list(zip(leaves, jax.tree.leaves(size), strict=True))
 
 
-def judged(row: NumberRow) -> NumberRow:
+def judged(row: NumberRow, cause: Cause | None = None) -> NumberRow:
     """With verdict, and whether each loss has a name."""
     numbers = [value for value in vars(row).values() if isinstance(value, float)]
     if not row.gradient_finite or not np.isfinite(numbers).all():
         return replace(row, verdict="FAILS", kept=False, note="some number is not finite")
     words, lost, kept = [], [], True
-    for bits in ("32", "64"):
-        for what, given, about in (
-            ("float", "given", "result"),
-            ("gradient", "gradient_given", "slopes"),
-        ):
-            error, allowed = getattr(row, f"{what}{bits}"), getattr(row, f"{given}{bits}")
-            if error <= HOLDS:
-                continue
-            lost.append(f"float{bits}")
-            # Beside a kink of the slopes one rounding moves them in any precision: no excuse.
-            is_kink = getattr(row, f"{given}64") > KINK * getattr(row, f"{given}32")
-            if error <= ROOM * allowed and not is_kink:
-                words.append(f"float{bits}: one rounding of what is given moves {about} as far")
-            elif row.note:
-                words.append(f"float{bits}, {about}: {row.note}")
-            else:
-                kept = False
-                words.append(f"float{bits}, {about}: lost for no reason that is known")
+    for what, about, precision, given in _JUDGED:
+        error = getattr(row, what)
+        if error is None or error <= HOLDS:
+            continue
+        lost.append(precision)
+        by_given = getattr(row, f"{given}{precision.removeprefix('float')}")
+        # Beside a kink of the slopes one rounding moves them in any precision: no excuse.
+        is_kink = getattr(row, f"{given}64") > KINK * getattr(row, f"{given}32")
+        share = EPS[precision] / EPS["float32"]
+        if error <= ROOM * by_given and not is_kink:
+            words.append(f"{about}: one rounding of what is given moves the result as far")
+        elif cause is not None and error <= share * cause.most:
+            words.append(f"{about}: {cause.words}")
+        else:
+            kept = False
+            words.append(f"{about}: lost for no reason that is known")
     if not lost:
-        return replace(row, verdict="holds", note="")
-    verdict = f"{lost[-1]} loses" if kept else "FAILS"
+        return replace(row, verdict="holds")
+    verdict = f"{max(lost)} loses" if kept else "FAILS"
     return replace(row, verdict=verdict, kept=kept, note="; ".join(words))
+
+
+_JUDGED = (
+    ("float32", "float32", "float32", "given"),
+    ("opengl", "OpenGL", "float32", "given"),
+    ("gradient32", "slopes in float32", "float32", "gradient_given"),
+    ("float64", "float64", "float64", "given"),
+    ("gradient64", "slopes in float64", "float64", "gradient_given"),
+)
+"""Errors: field, in words, precision, and the field of what one rounding does."""

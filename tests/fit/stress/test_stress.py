@@ -100,7 +100,7 @@ def test_a_look_of_ones_own_is_taken_to_its_limits(
     path.write_text(OWN.replace("LIGHT", light))
     assert airlight("stress", "-o", str(tmp_path / "out"), "--look", str(path)) == code
     told = capsys.readouterr().out
-    assert ("broken: haze: as it starts: float32, result: lost for no reason" in told) is bool(code)
+    assert ("broken: haze: as it starts: float32: lost for no reason" in told) is bool(code)
     assert (tmp_path / "out" / "bench.html").exists()
 
 
