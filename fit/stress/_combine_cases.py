@@ -97,10 +97,12 @@ def _full(about: Parameter, value: float) -> Any:
     return (value,) * 3 if about.shape == "rgb" else value
 
 
-def _ends(about: Parameter, shell: float) -> tuple[float, float]:
-    """Lower and upper end of its range."""
+def _ends(about: Parameter, shell: float) -> tuple[float, ...]:
+    """Lower and upper end of its range; and nearly nothing, of what may be any size."""
     if about.unit == LENGTH:
         return 1e-6 * shell, 1e6 * shell
+    if about.lower == 0 and np.isinf(about.upper):
+        return 0.0, 1 / FAR, FAR
     low = about.lower if np.isfinite(about.lower) else -FAR
     return low, about.upper if np.isfinite(about.upper) else FAR
 
