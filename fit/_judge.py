@@ -26,6 +26,7 @@ from .diagnose._remedy import is_misfit, remedy_of
 from .diagnose._spread import reach_95, spread_of
 from .photo._columns import Columns
 from .photo._pixels import Pixels
+from .solve._flat import find_flat
 from .solve._parameters import (
     Entries,
     FitParameter,
@@ -69,7 +70,8 @@ def evidence_of(
         directions, moved = free_directions((*end.free, *ended), task.parameters)
         beside = replace(point, directions=directions)
         gram = beside.gram()
-        if gram[:-1, -1] @ gauss_newton(gram) <= NEAR**2 * noise**2 * spread.area:
+        near = gram[:-1, -1] @ gauss_newton(gram) <= NEAR**2 * noise**2 * spread.area
+        if near and not find_flat(beside, gram, moved):
             # Noise alone may have brought them there: the others bear what they may be.
             wider = spread_of(beside, task.sizes, residuals, noise, rounding).covariance
             kept = [k for k, members in enumerate(moved) if not set(members) & set(ended)]

@@ -69,7 +69,7 @@ def test_the_table_of_verdicts_is_what_happens(
 
 
 @pytest.mark.parametrize(
-    "command", ["render", "fit", "export", "check", "looks", "bench", "version"]
+    "command", ["render", "fit", "export", "check", "looks", "bench", "stress", "version"]
 )
 def test_every_command_is_shown(command: str) -> None:
     assert any(f"airlight {command}" in block for block in blocks("sh"))

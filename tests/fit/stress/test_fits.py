@@ -12,7 +12,7 @@ from fit import FitResult, LeftOut, fit
 from fit.stress import _fit_cases as hard
 from fit.stress._fit_row import MOST_INTERVALS, FitRow, judge_fit, without_result
 from fit.stress._made import Made, changed, coded, row_of
-from fit.stress._random_fits import random_fits, summary
+from fit.stress._random_fits import random_case, random_fits, summary
 from model_jax import InputError
 
 SAMPLE = (
@@ -154,3 +154,10 @@ def test_a_summary_counts() -> None:
     assert (found["over 1 interval"], found["over 5 intervals"], found["broken"]) == (2, 1, 1)
     assert found["intervals"]["50 %"] == 2.0
     assert found["error"]["100 %"] == 6.0
+
+
+def test_what_ended_at_a_bound_and_has_no_effect_tells_nothing_of_others() -> None:
+    """A sky whose stretch and tweak end at bounds at which one of them does nothing."""
+    row = row_of(random_case(84, 20261129))
+    assert row.verdict == "at_bound"
+    assert row.kept, row.note
