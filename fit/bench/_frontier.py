@@ -8,11 +8,10 @@ Errors are against float64 or better, never against the contestant itself. What 
 is a point that says so, and what was left out is listed with the reason.
 """
 
-import csv
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import date
 from functools import partial
 from importlib.util import find_spec
@@ -29,7 +28,7 @@ from ._chart import charts
 from ._combine_points import GLSL, combine_points
 from ._fit_points import fit_points
 from ._measure import copy_bandwidth, machine
-from ._page import put, write_page
+from ._page import put, put_rows, write_page
 from ._peers import installed
 from ._plans import FULL, Plan, steps_of
 from ._point import Point, finite
@@ -261,13 +260,7 @@ def _absent(plan: Plan) -> list[str]:
 
 
 def _write(folder: Path, frontier: Frontier, axis: str) -> None:
-    def write_csv(path: Path) -> None:
-        with open(path, "w", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, [field.name for field in fields(Point)])
-            writer.writeheader()
-            writer.writerows(asdict(point) for point in frontier.points)
-
-    write_whole(folder / "frontier.csv", write_csv)
+    write_whole(folder / "frontier.csv", partial(put_rows, frontier.points))
     text = json.dumps(frontier.about(), indent=2, allow_nan=False) + "\n"
     write_whole(folder / "frontier.json", partial(put, text.encode()))
     for suffix, picture in charts(frontier.points, axis).items():

@@ -3,12 +3,13 @@
 `airlight bench` and `airlight stress` both write it, of what either has left in the folder.
 """
 
+import csv
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from render_gl import write_whole
 
@@ -53,8 +54,8 @@ def write_page(folder: Path) -> None:
     A file that another version wrote, or that is none of ours, is left out; the page says so.
     """
     left_out: list[str] = []
-    facts, points = _frontier_of(folder, left_out) or ({}, [])
-    stress, tables = _stress_of(folder, left_out) or ({}, [])
+    facts, points = _known(_frontier_in, folder / "frontier.json", left_out) or ({}, [])
+    stress, tables = _known(_stress_in, folder / "stress.json", left_out) or ({}, [])
     page = page_html(facts, points, stress, tables, left_out)
     write_whole(folder / PAGE, partial(put, page.encode()))
 
@@ -64,35 +65,45 @@ def put(content: bytes, path: Path) -> None:
     path.write_bytes(content)
 
 
-def _frontier_of(folder: Path, left_out: list[str]) -> tuple[dict[str, Any], list[Point]] | None:
-    path = folder / "frontier.csv"
+def put_rows(rows: Sequence[Any], path: Path) -> None:
+    """Write records as CSV, their fields as columns."""
+    with open(path, "w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, list(asdict(rows[0])) if rows else [])
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
+
+
+T = TypeVar("T")
+
+
+def _known(read: Callable[[Path], T], path: Path, left_out: list[str]) -> T | None:
+    """What a file tells; None where it is not there, or is none of ours."""
     if not path.exists():
         return None
     try:
-        facts = json.loads((folder / "frontier.json").read_text(encoding="utf-8"))
-        found = dict(facts), read_points(path)
-        facts["machine"]["versions"], facts["axis"], facts["left_out"]
-    except _FOREIGN as error:
-        left_out.append(f"{path.name}: cannot be read ({type(error).__name__}: {error})")
-        return None
-    return found
-
-
-def _stress_of(folder: Path, left_out: list[str]) -> tuple[dict[str, Any], list[Table]] | None:
-    path = folder / "stress.json"
-    if not path.exists():
-        return None
-    try:
-        facts = json.loads(path.read_text(encoding="utf-8"))
-        facts["machine"]["versions"]
-        return dict(facts), [Table.of(table) for table in facts["tables"]]
-    except _FOREIGN as error:
+        return read(path)
+    except (OSError, ValueError, KeyError, TypeError) as error:
         left_out.append(f"{path.name}: cannot be read ({type(error).__name__}: {error})")
         return None
 
 
-_FOREIGN = (OSError, ValueError, KeyError, TypeError)
-"""What reading a file of another version ends in."""
+def _frontier_in(path: Path) -> tuple[dict[str, Any], list[Point]]:
+    facts = _facts_in(path, ("axis", "left_out", "copy_bytes_per_second"))
+    return facts, read_points(path.with_suffix(".csv"))
+
+
+def _stress_in(path: Path) -> tuple[dict[str, Any], list[Table]]:
+    facts = _facts_in(path, ("tables",))
+    return facts, [Table.of(table) for table in facts["tables"]]
+
+
+def _facts_in(path: Path, names: Sequence[str]) -> dict[str, Any]:
+    """Raises `KeyError` where one of the names is missing."""
+    facts: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    missing = {"date", "seed", *names} - set(facts) or {"versions"} - set(facts["machine"])
+    if missing:
+        raise KeyError(*missing)
+    return facts
 
 
 def page_html(

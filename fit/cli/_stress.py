@@ -43,8 +43,9 @@ def stress(
     with computing(keep=False) as step:
         from dataclasses import replace
 
+        from ..stress._made import SEED
         from ..stress._plans import FULL, QUICK, Plan
-        from ..stress._stress import SEED, run_stress
+        from ..stress._stress import run_stress
 
         plan = Plan.only(look) if look else QUICK if quick else FULL
         plan = plan if fits is None else replace(plan, fits=fits)

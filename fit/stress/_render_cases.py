@@ -38,7 +38,7 @@ def _looking(
     shell: float = 0.1,
     near: float = 0.01,
     far: float = 100.0,
-    sun: tuple[float, float, float] | None = (1.0, 0.3, 0.2),
+    sun: tuple[float, float, float] = (1.0, 0.3, 0.2),
     sun_radius: float = 0.0,
     path: Any = "depth",
 ) -> Scene:
@@ -51,7 +51,7 @@ def _looking(
         camera=Camera(np.asarray(position), forward, up, fov, width, height, near, far),
         planet=Planet(radius=radius),
         atmosphere=Atmosphere(height=shell, path=path),
-        sun=None if sun is None else Sun(np.asarray(sun), sun_radius),
+        sun=Sun(np.asarray(sun), sun_radius),
     )
 
 

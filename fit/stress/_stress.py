@@ -8,9 +8,7 @@ Promised is: no NaN, no infinity, and no loss without a name; no fit that calls 
 is off by more than five times its stated interval.
 """
 
-import csv
 import json
-from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import date
 from functools import partial
@@ -21,20 +19,16 @@ from typing import Any
 from render_gl import write_whole
 
 from ..bench._measure import machine
-from ..bench._page import put, write_page
+from ..bench._page import put, put_rows, write_page
 from ._combine_cases import combine_probes, record_probes
 from ._fit_cases import fit_rows
 from ._fit_row import FitRow
+from ._made import SEED, Tell
 from ._number_row import NumberRow, measured
 from ._plans import FULL, Plan
 from ._random_fits import random_fits, summary
 from ._render_cases import render_probes
 from ._words import tables
-
-SEED = 20261129
-
-Tell = Callable[..., None]
-"""Takes the name of a step, and how much of the whole is done."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +64,7 @@ def run_stress(
     folder: Path,
     plan: Plan = FULL,
     seed: int = SEED,
-    tell: Tell = lambda step, share=None: None,
+    tell: Tell = lambda step: None,
 ) -> Stress:
     """Compute, and write into a folder `stress.csv`, `stress_fits.csv`, `stress_random.csv`, the
     rows; `stress.json`, machine, versions, seed and the tables in words; and the page `bench.html`.
@@ -105,17 +99,9 @@ def _write(folder: Path, stress: Stress) -> None:
         ("stress_fits.csv", stress.fits),
         ("stress_random.csv", stress.random),
     ):
-        write_whole(folder / name, partial(_write_rows, rows))
+        write_whole(folder / name, partial(put_rows, rows))
     shown = [asdict(table) for table in tables(stress.numbers, stress.fits, stress.random)]
     facts = stress.about() | {"tables": shown}
     text = json.dumps(facts, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     write_whole(folder / "stress.json", partial(put, text.encode()))
     write_page(folder)
-
-
-def _write_rows(rows: Sequence[NumberRow] | Sequence[FitRow], path: Path) -> None:
-    with open(path, "w", newline="", encoding="utf-8") as stream:
-        if rows:
-            writer = csv.DictWriter(stream, list(asdict(rows[0])))
-            writer.writeheader()
-            writer.writerows(asdict(row) for row in rows)

@@ -14,7 +14,7 @@ import mpmath
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive
 
-from ..bench._exact import DIGITS
+from ..bench._exact import DIGITS, wide
 
 Numbers = np.ndarray
 """Of `mpmath.mpf`, or of integers and booleans as they are."""
@@ -48,7 +48,7 @@ def _wide(value: Any) -> Numbers:
     array = np.asarray(value)
     if not np.issubdtype(array.dtype, np.floating):
         return array
-    return _each(lambda x: mpmath.mpf(float(x)), array)
+    return wide(array)
 
 
 def _narrow(value: Numbers) -> np.ndarray:

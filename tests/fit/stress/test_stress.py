@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from fit._compile import float64
+from fit.bench._page import write_page
 from fit.stress._plans import SAMPLE
 from fit.stress._stress import Stress, run_stress
 from fit.stress._words import tables
@@ -58,6 +59,16 @@ def test_the_page_holds_the_tables(stress: tuple[Stress, Path]) -> None:
         assert f"<h2>{table.title}</h2>" in page
     assert "Who is first" not in page  # no frontier lies there
     assert "http" not in page.replace("http-equiv", "")
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"date": "", "seed": 1, "machine": {}}'])
+def test_a_file_of_others_is_left_out_with_a_word(text: str, tmp_path: Path) -> None:
+    (tmp_path / "stress.json").write_text(text)
+    (tmp_path / "frontier.json").write_text(text)
+    write_page(tmp_path)
+    page = (tmp_path / "bench.html").read_text()
+    assert "stress.json: cannot be read" in page
+    assert "frontier.json: cannot be read" in page
 
 
 @pytest.mark.parametrize("option", ["--fits", "--seed"])
